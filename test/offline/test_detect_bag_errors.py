@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import sqlite3
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,17 +15,14 @@ import pytest
 from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, run
-from support.recorded_scene import (
-    COUNT,
-    raw,
-    record,
-    text,
-)
+from support.grey_images import grey_folder
+from support.recorded_scene import COUNT, images, raw, record, text, video
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.detect_recording import os_errors
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -51,13 +51,6 @@ def test_detection_ends_after_too_many_failed_inferences(
     assert main(words, prepare=prepare_raising(error)) == 1
     stopped = f"detect_bag: stopped after {failures} consecutive failed images: {error}\n"
     assert capsys.readouterr().err.endswith(stopped)
-    assert list(drive.parent.iterdir()) == [drive]
-
-
-def test_an_interrupt_leaves_nothing_half_written(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [str(drive), "--output", str(drive.parent / "found")]
-    assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
-    assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
     assert list(drive.parent.iterdir()) == [drive]
 
 
@@ -92,22 +85,31 @@ def with_damaged_pages(folder: Path) -> Path:
     return bag
 
 
-def without_metadata(folder: Path) -> Path:
-    bag = record(folder / "bag", [raw(0)], storage=MCAP)
-    (bag / "metadata.yaml").unlink()
-    return bag
-
-
-def not_a_recording(folder: Path) -> Path:
-    (folder / "bag.mcap").write_bytes(b"these are no messages")
-    return folder / "bag.mcap"
-
-
 def a_good_one(folder: Path) -> Path:
-    return record(folder / "bag", [raw(0)], storage=MCAP)
+    return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=MCAP)
 
 
-@pytest.mark.long
+def many(folder: Path) -> Path:
+    """A folder of recordings, beside another one."""
+    (folder / "drives").mkdir()
+    record(folder / "other", [raw(0)], storage=MCAP)
+    for name in ("drives/a.mcap", "drives/b.mcap", "bag.mcap"):
+        (folder / name).touch()
+    return folder / "drives"
+
+
+def in_sqlite(folder: Path) -> Path:
+    return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=SQLITE)
+
+
+def grey_image(folder: Path) -> Path:
+    return grey_folder(folder) / "8.png"
+
+
+def a_video(folder: Path) -> Path:
+    return video(folder / "drive.avi")
+
+
 @pytest.mark.parametrize(
     ("make", "words", "told"),
     [
@@ -127,27 +129,18 @@ def a_good_one(folder: Path) -> Path:
         pytest.param(without_messages, [], "has no messages. Did the camera", id="no messages"),
         pytest.param(without_its_end, [], "`mcap recover` may repair it", id="without its end"),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
-        pytest.param(without_metadata, [], "the recording cannot be read", id="without metadata"),
-        pytest.param(not_a_recording, [], "does not begin like an MCAP file", id="not a recording"),
         pytest.param(a_good_one, ["--output", "bag"], "exists and is not replaced", id="output exists"),
         pytest.param(a_good_one, ["--output", "no/x"], "folder not found; create it", id="no folder"),
         pytest.param(a_good_one, ["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
         pytest.param(a_good_one, ["--set", "conf=0.4"], "'confidence_threshold'?", id="setting"),
-        pytest.param(a_good_one, ["--set", "iou_threshold=2"], "from 0 to 1", id="value"),
-        pytest.param(
-            a_good_one, ["--set", "lazy=false"], "a node that receives images", id="setting of the node"
-        ),
         pytest.param(a_good_one, ["-p", "iou_threshold:=2"], "from 0 to 1", id="value as for a node"),
-        pytest.param(a_good_one, ["-p", "iou_threshold"], "expected NAME=VALUE", id="no value"),
-        pytest.param(a_good_one, ["-p", "classes:=[circle, 2]"], "'classes=[circle, 2]': ", id="two types"),
-        pytest.param(a_good_one, ["--set", "lazy"], "expected NAME=VALUE", id="no assignment"),
-        pytest.param(
-            a_good_one,
-            ["--set", "classes=[a"],
-            "'classes=[a': its value is no YAML that ROS reads: line 1: expected",
-            id="no YAML",
-        ),
         pytest.param(a_good_one, ["--set", "weights=no.pt"], "there is no such file", id="no weights"),
+        pytest.param(many, ["--output", "no/x"], "folder not found; create it", id="no folder for many"),
+        pytest.param(many, ["--output", "bag.mcap"], "bag.mcap is not a folder", id="file for many"),
+        pytest.param(many, ["--output", "other"], "other is a recording: choose", id="recording for many"),
+        pytest.param(many, ["--output", "x\udcff"], "folder of results must be UTF-8", id="no text"),
+        pytest.param(many, ["--ray", "127.0.0.1:1"], "no Ray cluster answers", id="no cluster"),
+        pytest.param(many, ["--set", "weights_sha256=" + "f" * 64], "its sha256 is", id="digest"),
         pytest.param(a_good_one, ["--params-file", "no.yaml"], "no.yaml", id="no parameter file"),
     ],
 )
@@ -173,37 +166,145 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        pytest.param(["drive"], "give --output", id="recording without output"),
-        pytest.param(["drive", "--output", "x", "--annotated", "y"], "use --images", id="drawings of it"),
-        pytest.param(["shots", "--topic", "/a"], "recordings only", id="topic of images"),
-        pytest.param(["shots", "--images"], "recordings only", id="images of images"),
         pytest.param(
-            ["drive", "--output", "x", "--node", "a b"], "expected the full name of a node", id="node"
+            ["drive.avi", "--images", "--topic", "/x", "--output", "x.yolo", "--track"],
+            [
+                "--topic applies to recordings only",
+                "--images applies to recordings only",
+                ".yolo has no ids of tracks",
+            ],
+            id="video",
         ),
-        pytest.param([], "SOURCE", id="nothing"),
+        pytest.param(
+            ["drive", "--annotated", "x.mp4", "--images", "--output", "x.csv"],
+            ["--annotated does not apply to recordings", "--images needs a recording as output"],
+            id="recording",
+        ),
+        pytest.param(
+            ["shots", "--track", "--crops"],
+            ["shots has still images; tracking needs", "--crops needs --output"],
+            id="images",
+        ),
+        pytest.param(
+            ["drive", "drive.avi", "--annotated", "x", "--crops"],
+            ["give --output, the folder for the results", "--annotated applies to a single video"],
+            id="many",
+        ),
+        pytest.param(["drive"], ["give --output, the new recording to write"], id="no output"),
+        pytest.param(
+            ["drive", "--output", "x", "--node", "a b"], ["expected the full name of a node"], id="node"
+        ),
+        pytest.param(
+            ["*.avi", "--output", "x", "--images", "--topic", "/x"],
+            ["--topic applies to recordings only, and these are videos; --images"],
+            id="many videos",
+        ),
+        pytest.param(["a", "--jobs", "0"], ["expected a number of processes from 1 to"], id="no jobs"),
+        pytest.param(["a", "--jobs", "many"], [", found 'many'"], id="no number of jobs"),
+        pytest.param([], ["SOURCE"], id="nothing"),
     ],
 )
-def test_wrong_usage_is_one_line(
+def test_all_arguments_that_are_wrong_are_told_at_once_in_one_line(
     words: list[str],
-    told: str,
+    told: list[str],
     drive: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(drive.parent)
-    Path("shots").mkdir()
+    images(drive.parent / "shots")
+    video(drive.parent / "drive.avi")
     with pytest.raises(SystemExit) as stopped:
         main(words)
     assert stopped.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("detect_bag: ")
-    assert told in line
+    assert [text for text in told if text not in line] == []
 
 
-def test_without_rosbags_the_command_says_how_to_install_it(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [("rosbags.rosbag2", []), ("ray", ["--ray", "auto"]), ("pyarrow", ["--output", "found.parquet"])],
+    ids=["rosbags", "ray", "pyarrow"],
+)
+def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(
+    module: str,
+    words: list[str],
+    drive: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
+    monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.delitem(sys.modules, "yolov5_lifecycle.offline.detect_recording", raising=False)
-    assert main([str(drive), "--output", str(drive.parent / "found")]) == 1
-    assert f"{sys.executable} -m pip install rosbags\n" in capsys.readouterr().err
+    assert main([str(drive), "--output", str(drive.parent / "found"), *words, *SET_MODEL]) == 1
+    assert f"{sys.executable} -m pip install {module.partition('.')[0]}" in capsys.readouterr().err
+
+
+# Python would keep truncated bytecode of this package: https://github.com/python/cpython/issues/126606.
+LIMITED = (
+    "import resource, sys; sys.dont_write_bytecode = True; "
+    "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY)); "
+    "from yolov5_lifecycle.offline.detect_bag import main; sys.exit(main(sys.argv[2:]))"
+)
+
+
+def limited(max_bytes: int, *words: object) -> subprocess.CompletedProcess[str]:
+    """The command in a process that cannot write files of more than `max_bytes`, as if the disk were full.
+
+    A write that exceeds the limit fails, with EFBIG in place of ENOSPC.
+    """
+    command = [sys.executable, "-c", LIMITED, str(max_bytes), *map(str, words), *SET_MODEL]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("make", "max_bytes", "words", "told"),
+    [
+        pytest.param(
+            a_good_one, 100_000, ["--images", "--output", "found"], "File too large", id="recording, MCAP"
+        ),
+        pytest.param(
+            in_sqlite, 100_000, ["--images", "--output", "found"], "disk I/O error: '", id="recording, SQLite"
+        ),
+        # Small enough for the buffer of a C program, which then fails only when it closes the file.
+        pytest.param(grey_image, 20, ["--annotated", "drawn.jpg"], "File too large", id="JPEG"),
+        pytest.param(grey_image, 20, ["--annotated", "drawn.tif"], "File too large", id="TIFF"),
+        *(
+            pytest.param(
+                a_video,
+                6_000,
+                ["--annotated", f"drawn{suffix}", "--output", "found.jsonl"],
+                "is the disk full?",
+                id=f"video, {suffix}",
+            )
+            for suffix in (".avi", ".mp4")
+        ),
+    ],
+)
+def test_an_output_that_cannot_be_written_leaves_nothing(
+    make: Callable[[Path], Path],
+    max_bytes: int,
+    words: list[str],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = make(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    ended = limited(max_bytes, source, *words)
+    assert ended.returncode == 1
+    assert told in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_full_disk_is_one_in_sqlite_too(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "small.db3") as connection:
+        connection.execute("PRAGMA max_page_count = 2")
+        connection.execute("CREATE TABLE messages(data BLOB)")
+        with pytest.raises(OSError, match=r"small\.db3") as raised, os_errors(tmp_path / "small.db3"):
+            connection.execute("INSERT INTO messages VALUES(zeroblob(1000000))")
+    connection.close()
+    assert raised.value.errno == errno.ENOSPC

@@ -6,12 +6,13 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from pycocotools import mask as coco
+from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Image
 from support.damaged_images import claiming_too_much
 from support.detected_offline import SET_MODEL, published, run
@@ -22,8 +23,11 @@ from support.recorded_scene import (
     shown,
     video,
 )
+from support.segmented_offline import SET_MODEL as SET_SEGMENTING
+from support.segmented_offline import segment, segmented, whole_masks
 from support.sighting import Sighting
 
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS
 from yolov5_lifecycle.ros.child_process import entry_point
 
@@ -51,16 +55,14 @@ def test_images_become_lines_and_annotated_images(tmp_path: Path, capsys: pytest
     assert cv2.imread(str(drawn / "0.png")).shape == (*SIZE_HW, 3)
 
 
-@pytest.mark.long
-def test_images_need_no_rosbags(tmp_path: Path) -> None:
-    program = (
-        "import sys; sys.modules['rosbags'] = None; "
-        "from yolov5_lifecycle.offline.detect_bag import main; sys.exit(main(sys.argv[1:]))"
-    )
-    command = [sys.executable, "-c", program, str(images(tmp_path / "shots")), *SET_MODEL]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert len(run.stdout.splitlines()) == COUNT
+@pytest.mark.end_to_end
+def test_the_command_reads_a_recording_and_writes_one(drive: Path, tmp_path: Path) -> None:
+    words = [entry_point("detect_bag"), str(drive), "--output", str(tmp_path / "found"), *SET_MODEL]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (0, "")
+    assert f"images    {COUNT}: {COUNT} detected, 0 rejected, 0 failed\n" in ended.stderr
+    with Reader(tmp_path / "found") as reader:
+        assert reader.topics["/yolov5/detections"].msgcount == COUNT
 
 
 @pytest.mark.long
@@ -87,6 +89,39 @@ def test_a_video_becomes_lines_in_a_file_and_an_annotated_video(tmp_path: Path) 
     capture.release()
 
 
+def test_a_tracked_video_has_ids(tmp_path: Path) -> None:
+    source, output = video(tmp_path / "drive.avi"), tmp_path / "found.jsonl"
+    assert run([str(source), "--output", str(output), "-p", "tracker:=bytetrack", *SET_MODEL]) == 0
+    lines = [json.loads(line)["detections"] for line in output.read_text().splitlines()]
+    assert {one["id"] for one in lines[0]} == {""}
+    last = [one["id"] for one in lines[-1]]
+    assert "" not in last
+    assert len({*last}) == len(last) > 0
+
+
+def test_a_parameter_file_with_a_tracker_serves_image_files_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    tracker: bytetrack\n")
+    assert run([str(images(tmp_path / "shots")), "--params-file", str(file), *SET_MODEL]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) == COUNT
+    assert not any("id" in one for line in lines for one in line["detections"])
+
+
+def test_lines_have_the_whole_mask_of_each_object(tmp_path: Path) -> None:
+    output = tmp_path / "found.jsonl"
+    assert segment([str(images(tmp_path / "shots")), "--output", str(output), *SET_SEGMENTING]) == 0
+    for number, line in enumerate(output.read_text().splitlines()):
+        expected = whole_masks(segmented(ColourImage(shown(number)[0], "rgb")))
+        assert expected.sum(axis=0).max() > 1  # they overlap
+        for one, mask in zip(json.loads(line)["detections"], expected, strict=True):
+            assert list(one) == ["class_name", "score", "box_xyxy", "mask"]
+            theirs = coco.encode(np.asfortranarray(mask, np.uint8))
+            assert one["mask"] == {"size": [*SIZE_HW], "counts": theirs["counts"].decode()}
+
+
 def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     video(tmp_path / "0.avi").rename("0")
@@ -98,16 +133,13 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
     ("source", "words", "told"),
     [
         pytest.param("empty", [], "has no images", id="empty folder"),
-        pytest.param("notes.txt", [], "neither as an image nor as a video", id="a text"),
         pytest.param("missing", [], "file or folder not found", id="missing"),
-        pytest.param("missing", ["--topic", "/x"], "file or folder not found", id="missing, with a topic"),
         pytest.param("shots/0.png", ["--output", "lines.jsonl"], "exists and is not", id="lines exist"),
         pytest.param("shots", ["--output", "x.txt"], "expected a name that ends in .jsonl", id="format"),
         pytest.param("shots", ["--annotated", "empty"], "exists and is not", id="drawings exist"),
         pytest.param(
             "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="image suffix"
         ),
-        pytest.param("shots/0.png", ["--annotated", "x"], "x: OpenCV cannot write", id="no image suffix"),
         pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4 or .avi", id="video suffix"),
         # OpenCV crashes on these names.
         pytest.param("bad\udcff/0.avi", [], "bad?/0.avi: the path of a video must be UTF-8", id="video path"),
@@ -168,10 +200,3 @@ def test_what_counts_is_the_same_as_in_the_node_and_drawn(
     line_x = cv2.imread(str(drawn / "0.png"))[:, SIZE_HW[1] // 2].astype(int)
     source_x = cv2.imread(str(folder / "0.png"))[:, SIZE_HW[1] // 2].astype(int)
     assert (np.abs(line_x - source_x).max(axis=1) > 0).mean() > 0.9
-
-
-def test_a_wrong_region_is_refused_before_the_model_is_loaded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run([str(images(tmp_path / "shots")), "--set", "regions=['0,0 1,1']"]) == 1
-    assert "regions: ['0,0 1,1'] must be polygons, but entry 1 has 2 points" in capsys.readouterr()[1]

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, run
-from support.recorded_scene import COUNT, raw, record
 
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError
@@ -99,21 +97,10 @@ def test_every_assignment_that_cannot_be_read_is_named_at_once() -> None:
     ]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("camera", "seen", "unseen"), [("front", "star", "circle"), ("rear", "circle", "star")]
-)
 def test_a_recording_is_detected_with_the_settings_of_its_camera(
-    camera: str,
-    seen: str,
-    unseen: str,
-    parameters: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    drive: Path, parameters: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    drive = record(tmp_path / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
-    words = ["--params-file", str(parameters), "--camera", camera, *SET_MODEL]
+    words = ["--params-file", str(parameters), "--camera", "front", *SET_MODEL]
     assert run([str(drive), "--output", str(tmp_path / "found"), *words]) == 0
     told = capsys.readouterr().err
-    assert f"{seen} " in told
-    assert f"{unseen} " not in told
+    assert ("star " in told, "circle " in told) == (True, False)

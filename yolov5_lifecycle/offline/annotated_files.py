@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.offline.detecting import OfflineDetector
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
@@ -37,32 +39,51 @@ def write_image(path: Path, drawn: ColourImage) -> None:
     path.write_bytes(data)
 
 
-class VideoOutput:
-    """A video file written frame by frame at `rate_hz`; each frame is resized to the size of the first.
+def check_video_name(path: Path) -> None:
+    """Raise OutputError for an unknown format, and for a path that is not UTF-8."""
+    if path.suffix.lower() not in _CODECS:
+        raise OutputError(f"{path.name}: expected a video file name that ends in {' or '.join(_CODECS)}.")
+    if not is_utf8(str(path)):  # OpenCV 5.0 crashes
+        raise OutputError(
+            f"{in_one_line(path.name)}: the path of an annotated video must be UTF-8: "
+            "choose another --annotated."
+        )
 
-    Raises OutputError on construction for an unknown format and for a path that is not UTF-8.
-    """
 
-    def __init__(self, path: Path, rate_hz: float) -> None:
-        if path.suffix.lower() not in _CODECS:
-            raise OutputError(f"{path.name}: expected a video file name that ends in {' or '.join(_CODECS)}.")
-        if not is_utf8(str(path)):  # OpenCV 5.0 crashes
-            raise OutputError(
-                f"{in_one_line(path.name)}: the path of an annotated video must be UTF-8: "
-                "choose another --annotated."
-            )
+class AnnotatedImages(Sink):
+    """Images that `detector` draws, in the new folder `path`, or a single one."""
+
+    def __init__(self, path: Path, is_folder: bool, detector: OfflineDetector) -> None:
+        self._path = path
+        self._is_folder = is_folder
+        self._detector = detector
+        if is_folder:
+            path.mkdir()
+
+    def add(self, found: DetectedImage) -> None:
+        name = Path(str(found.named.identity["file"])).name
+        drawn = self._detector.drawn(found.image, found.detections)
+        write_image(self._path / name if self._is_folder else self._path, drawn)
+
+
+class AnnotatedVideo(Sink):
+    """A video file of `rate_hz`, whose frames `detector` draws, each resized to the size of the first."""
+
+    def __init__(self, path: Path, rate_hz: float, detector: OfflineDetector) -> None:
         self._path = path
         self._rate_hz = rate_hz
+        self._detector = detector
         self._writer: Any = None
         self._size_hw = (0, 0)
 
-    def add(self, drawn: ColourImage) -> None:
+    def add(self, found: DetectedImage) -> None:
         """Append a frame; raises OutputError if this OpenCV cannot write the format."""
+        drawn = self._detector.drawn(found.image, found.detections)
         frame: NDArray[np.uint8] = encoded(drawn, "bgr8")
         if self._writer is None:
             self._writer = self._opened(drawn.size_hw)
             self._size_hw = drawn.size_hw
-        if frame.shape[:2] != self._size_hw:  # OpenCV silently drops frames of another size
+        if drawn.size_hw != self._size_hw:  # OpenCV silently drops frames of another size
             frame = np.asarray(cv2.resize(frame, self._size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
         self._writer.write(np.ascontiguousarray(frame))
 

@@ -6,28 +6,26 @@ import argparse
 import functools
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
-from yolov5_lifecycle.offline.detect_files import detect_files
 from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
-from yolov5_lifecycle.offline.export.exporting import Export
+from yolov5_lifecycle.offline.export.exporting import Export, write_files
 from yolov5_lifecycle.offline.export.formats import (
     FORMATS,
     JSON_LINES,
     check_export_name,
     check_format,
     format_suffix,
-    may_have_masks,
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
-from yolov5_lifecycle.offline.many_recordings.plan import Options, plan_of
+from yolov5_lifecycle.offline.many_recordings.results import plan_of
+from yolov5_lifecycle.offline.many_recordings.summary import BatchTerminal
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.tally import RecordingsTerminal, recordings_report
 from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, is_video, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images, report
@@ -38,7 +36,7 @@ from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 
 EXIT_INCOMPLETE = 3
-"""Exit code if a recording has fewer images than it claims, or was set aside as one of many."""
+"""Exit code if a recording has fewer images than it claims, or failed as one of many."""
 
 
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
@@ -50,8 +48,8 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
         (source,) = arguments.sources
         if not source.exists():
             return _complain(f"{source}: file or folder not found")
-        if problem := _usage_problem(source, arguments):
-            parser.error(problem)
+        if problems := _conflicts(source, arguments):
+            parser.error("; ".join(problems))
         with (
             unwound_by_sigterm(),
             closing(Terminal("detect_bag", shows_progress=bool(arguments.output))) as terminal,
@@ -60,8 +58,8 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     except BrokenPipeError:
         raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:
-        problems = "".join(f"\n  {problem}" for problem in error.problems)
-        return _complain(f"{len(error.problems)} problem(s) in the settings:{problems}")
+        listing = "".join(f"\n  {problem}" for problem in error.problems)
+        return _complain(f"{len(error.problems)} problem(s) in the settings:{listing}")
     except (ValueError, OSError, ImportError, DetectingError, InferenceError) as error:
         return _complain(str(error))
     except KeyboardInterrupt:
@@ -78,16 +76,16 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 def _run(source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> RunStatistics:
     settings = _settings(arguments)
     export = _export(source, arguments)
-    with_masks = (export.masks and may_have_masks(export.suffix)) or arguments.images or arguments.annotated
     load = functools.partial(
-        OfflineDetector, settings, terminal, with_masks=bool(with_masks), prepare=prepare
+        OfflineDetector, settings, terminal, with_masks=export.needs_masks, prepare=prepare
     )
-    if not is_recording(source):
-        return detect_files(source, export, annotated=arguments.annotated, load=load)
-    with _rosbags():
-        from yolov5_lifecycle.offline.detect_recording import RecordingOptions, detect_recording
-    options = RecordingOptions(arguments.topic, arguments.node, arguments.images)
-    return detect_recording(source, export, options, load)
+    if is_recording(source):
+        _check_rosbags()
+        from yolov5_lifecycle.offline.detect_recording import write_recording as write
+    else:
+        write = write_files
+    with export.whole() as unfinished:
+        return write(source, unfinished, load)
 
 
 def _export(source: Path, arguments: argparse.Namespace) -> Export:
@@ -98,16 +96,28 @@ def _export(source: Path, arguments: argparse.Namespace) -> Export:
         if output is not None:
             check_export_name(output)
         suffix = suffix or JSON_LINES
-    check_format(suffix)
     crops = output.with_name(f"{output.stem if suffix else output.name}_crops") if arguments.crops else None
-    return Export(output, suffix, arguments.masks, crops)
+    return _export_to(output, suffix, crops, arguments)
 
 
-@contextmanager
-def _rosbags() -> Iterator[None]:
+def _export_to(path: Path | None, suffix: str, crops: Path | None, arguments: argparse.Namespace) -> Export:
+    check_format(suffix)
+    return Export(
+        path=path,
+        suffix=suffix,
+        masks=arguments.masks,
+        crops=crops,
+        annotated=arguments.annotated,
+        topic=arguments.topic,
+        node=arguments.node,
+        images=arguments.images,
+    )
+
+
+def _check_rosbags() -> None:
     """Say how to install rosbags if it cannot be imported."""
     try:
-        yield
+        import yolov5_lifecycle.offline.detect_recording  # noqa: F401
     except ImportError as error:
         raise ImportError(
             f"a package needed to read recordings is missing ({error}). Install it with "
@@ -120,27 +130,22 @@ def _settings(arguments: argparse.Namespace) -> Settings:
 
 
 def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
-    if problem := _usage_problem_of_many(arguments):
-        parser.error(problem)
+    if problems := _conflicts_of_many(arguments):
+        parser.error("; ".join(problems))
     output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
     settings = _settings(arguments)
     sources = recordings_of(arguments.sources, output)
-    suffix = format_suffix(output)
-    check_format(suffix)
+    export = _export_to(None, format_suffix(output), Path("crops") if arguments.crops else None, arguments)
     if not all(is_video(source.path) for source in sources):
-        with _rosbags():
-            import yolov5_lifecycle.offline.recording  # noqa: F401
+        _check_rosbags()
     elif problems := _without_recordings(arguments, "these are videos"):
         parser.error("; ".join(problems))
-    options = Options(
-        arguments.topic, arguments.node, arguments.images, arguments.masks, suffix, arguments.crops
-    )
-    plan = plan_of(settings, output, options)
-    with unwound_by_sigterm(), closing(RecordingsTerminal()) as terminal:
+    plan = plan_of(settings, output, export)
+    with unwound_by_sigterm(), closing(BatchTerminal()) as terminal:
         new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
-        tally = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
-    show_report(recordings_report(tally))
-    return 0 if tally.is_complete else EXIT_INCOMPLETE
+        batch = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
+    show_report(str(batch))
+    return 0 if batch.is_complete else EXIT_INCOMPLETE
 
 
 def _workers(jobs: int | None, ray: str | None, recordings: int) -> Sequence[Worker]:
@@ -161,8 +166,8 @@ def _complain(problem: str) -> int:
     return 1
 
 
-def _usage_problem(source: Path, arguments: argparse.Namespace) -> str:
-    """The conflicts between the arguments for a single source, or ""."""
+def _conflicts(source: Path, arguments: argparse.Namespace) -> list[str]:
+    """The arguments that contradict each other, for a single source."""
     if is_recording(source):
         problems = ["give --output, the new recording to write"] if arguments.output is None else []
         if arguments.annotated:
@@ -173,11 +178,11 @@ def _usage_problem(source: Path, arguments: argparse.Namespace) -> str:
             problems.append(f"{source} has still images; tracking needs a recording or a video")
         if arguments.crops and arguments.output is None:
             problems.append("--crops needs --output, beside which it puts the folder of crops")
-    return "; ".join([*problems, *_conflicts_with_format(arguments)])
+    return problems + _conflicts_with_format(arguments)
 
 
-def _usage_problem_of_many(arguments: argparse.Namespace) -> str:
-    """The conflicts between the arguments for many sources, or ""."""
+def _conflicts_of_many(arguments: argparse.Namespace) -> list[str]:
+    """The arguments that contradict each other, for many sources."""
     problems = []
     if arguments.output is None:
         problems.append("give --output, the folder for the results of many recordings or videos")
@@ -185,7 +190,7 @@ def _usage_problem_of_many(arguments: argparse.Namespace) -> str:
         problems.append(
             "--annotated applies to a single video, image or folder of images; for recordings use --images"
         )
-    return "; ".join([*problems, *_conflicts_with_format(arguments)])
+    return problems + _conflicts_with_format(arguments)
 
 
 def _without_recordings(arguments: argparse.Namespace, sources: str) -> list[str]:

@@ -24,7 +24,7 @@ folder of YOLO text). Without one of these, a recording becomes a recording, and
 
 With many recordings or videos (several paths, a quoted pattern, or a folder of them), PATH is a folder. It
 gets a folder for each, and summary.json and summary.parquet with the detection counts. Run again, the same
-command does only what is missing. A recording that cannot be used is set aside; the exit code is then 3.
+command does only what is missing. If a recording fails, the others go on; the exit code is then 3.
 """
 
 

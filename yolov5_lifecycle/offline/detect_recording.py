@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import errno
+import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import chain
-from pathlib import Path
+from pathlib import Path, PosixPath
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +20,17 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.detection.box_filter import BoxFilter
-from yolov5_lifecycle.detection.detections import Detections, FoundObject
-from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detecting import LoadDetector, RunStatistics
-from yolov5_lifecycle.offline.export.crops import Crops
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage
-from yolov5_lifecycle.offline.export.exporting import Export, export_images, whole_export
+from yolov5_lifecycle.detection.detections import FoundObject
+from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
+from yolov5_lifecycle.offline.export.exporting import Export, export_images
 from yolov5_lifecycle.offline.recording import (
     TYPES,
     RecordedImage,
     RecordedTopic,
-    Recording,
     RecordingError,
     open_recording,
 )
-from yolov5_lifecycle.offline.sqlite_path import UriPath
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 from yolov5_lifecycle.process.standard_streams import complain
@@ -44,79 +40,33 @@ _LABELS = "vision_msgs/msg/LabelInfo"
 _IMAGE = "sensor_msgs/msg/Image"
 
 
-@dataclass(frozen=True)
-class RecordingOptions:
-    """The topic of the images, None for the only one, and what a new recording has, named as by `node`."""
+def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
+    """Write the detections in the images of the recording `source`; what is written stays on failure.
 
-    topic: str | None
-    node: str
-    images: bool
-    """Whether it has annotated images."""
-
-
-def detect_recording(
-    source: Path, export: Export, options: RecordingOptions, load: LoadDetector
-) -> RunStatistics:
-    """`write_detections`, with outputs that appear when they are complete, or not at all.
-
-    Raises RecordingError, OutputError, DetectingError and what `load` raises.
+    Without a suffix in `export`, the output is a new recording in the same storage format. Raises
+    RecordingError, OutputError, OSError, DetectingError and what `load` raises.
     """
-    with open_recording(source) as recording, whole_export(export) as unfinished:
+    with open_recording(source) as recording, os_errors(export.path):
         if recording.foreign:
             complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
-        return write_detections(recording, unfinished, options, load)
-
-
-def write_detections(
-    recording: Recording, export: Export, options: RecordingOptions, load: LoadDetector
-) -> RunStatistics:
-    """Write the detections in the images of `recording`; what is written stays on failure.
-
-    Without a suffix in `export`, the output is a new recording in the storage format of `recording`. Also
-    raises OSError.
-    """
-    topic = recording.image_topic(options.topic)
-    images = _not_empty(recording.path, topic, recording.images(topic))
-    if export.suffix:
-        statistics = export_images(images, topic.count, export, load=load)
-    else:
-        statistics = _write_recording(recording, images, topic.count, export, options, load)
+        topic = recording.image_topic(export.topic)
+        images = _not_empty(source, topic, recording.images(topic))
+        if not export.suffix:
+            _check_name(export.path)
+        new_bag = None if export.suffix else partial(_DetectionBag, export, recording.storage)
+        statistics = export_images(images, topic.count, export, load, new_bag)
     statistics.missing = max(0, topic.count - statistics.balance.received)
     return statistics
 
 
-def _write_recording(
-    recording: Recording,
-    images: Iterator[RecordedImage],
-    expected: int,
-    export: Export,
-    options: RecordingOptions,
-    load: LoadDetector,
-) -> RunStatistics:
-    assert export.path is not None
-    _check_name(export.path)
-    detector = load()
-    with (
-        os_errors(export.path),
-        _Writer(export.path, version=9, storage_plugin=recording.storage) as writer,
-    ):
-        bag = DetectionBag(
-            writer,
-            node=options.node,
-            class_names=detector.class_names,
-            threshold=detector.settings.confidence_threshold,
-            box_filter=detector.box_filter,
-            images=options.images,
-            masks=export.masks and detector.segments,
-        )
-        crops = None if export.crops is None else Crops(export.crops, detector.class_names)
+class UriPath(PosixPath):
+    """A path that is escaped where it is formatted, as in `f"file:{path}"`, so that SQLite opens that file.
 
-        def write(recorded: RecordedImage, image: ColourImage, detections: Detections) -> None:
-            bag.write(recorded, image, detections)
-            if crops is not None:
-                crops.add(DetectedImage(recorded, image, detections))
+    SQLite would take `#`, `?`, `%41` and a leading `//` as parts of the URI, see https://sqlite.org/uri.html.
+    """
 
-        return detector.run(images, expected=expected, write=write)
+    def __format__(self, specification: str) -> str:
+        return format(quote(os.fsencode(self), safe=""), specification)
 
 
 class _SqliteWriter(Sqlite3Writer):
@@ -130,15 +80,15 @@ class _Writer(Writer):
     STORAGE_PLUGINS: Mapping[Any, Any] = {**Writer.STORAGE_PLUGINS, StoragePlugin.SQLITE3: _SqliteWriter}
 
 
-def _check_name(output: Path) -> None:
+def _check_name(output: Path | None) -> None:
     """Raise OutputError if metadata.yaml cannot contain the name of the recording `output`."""
-    if not is_utf8(output.name):
+    if output is not None and not is_utf8(output.name):
         name = in_one_line(output.name)
         raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
 
 
 @contextmanager
-def os_errors(output: Path) -> Iterator[None]:
+def os_errors(output: Path | None) -> Iterator[None]:
     """Raise OSError for an error of SQLite while it writes to `output`, with ENOSPC if the disk is full."""
     try:
         yield
@@ -163,51 +113,47 @@ def _not_empty(
     return chain([first], images)
 
 
-class DetectionBag:
-    """Adds detections, labels and, with `images`, annotated images to the recording of `writer`.
+class _DetectionBag(Sink):
+    """The new recording of `export`, with the topics and QoS of the node; masks are label images."""
 
-    With `masks`, masks too, as label images; all detections must then have masks. Topics and QoS are those of
-    the node named `node`.
-    """
-
-    def __init__(
-        self,
-        writer: Writer,
-        *,
-        node: str,
-        class_names: Sequence[str],
-        threshold: float,
-        box_filter: BoxFilter | None,
-        images: bool,
-        masks: bool,
-    ) -> None:
-        self._writer = writer
-        self._class_names = class_names
-        self._threshold = threshold
-        self._box_filter = box_filter
-        self._is_labelled = False
+    def __init__(self, export: Export, storage: StoragePlugin, detector: OfflineDetector) -> None:
+        assert export.path is not None
+        self._detector = detector
+        self._is_labelled = self._is_finished = False
+        self._writer = _Writer(export.path, version=9, storage_plugin=storage)
+        self._writer.open()
+        node, has_masks = export.node, export.masks and detector.segments
         self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)
         self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
-        self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if images else None
-        self._masks = self._topic(f"{node}/masks", _IMAGE, depth=1) if masks else None
+        self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if export.images else None
+        self._masks = self._topic(f"{node}/masks", _IMAGE, depth=1) if has_masks else None
 
-    def write(self, recorded: RecordedImage, image: ColourImage, detections: Detections) -> None:
-        """Write the node's messages for `recorded`, with its header and at the time of its recording."""
+    def add(self, found: DetectedImage) -> None:
+        """Write the node's messages for a recorded image, with its header and time of recording."""
+        recorded: Any = found.named
         timestamp_ns, header = recorded.timestamp_ns, recorded.message.header
+        class_names = self._detector.class_names
         if not self._is_labelled:
-            labels = _label_info(self._class_names, self._threshold, header.stamp)
-            self._add(self._labels, timestamp_ns, labels)
+            threshold = self._detector.settings.confidence_threshold
+            self._add(self._labels, timestamp_ns, _label_info(class_names, threshold, header.stamp))
             self._is_labelled = True
-        found = detections.objects(self._class_names)
-        self._add(self._detections, timestamp_ns, detection_array(found, header))
-        labels = detections.label_image()
+        array = detection_array(found.detections.objects(class_names), header)
+        self._add(self._detections, timestamp_ns, array)
+        labels = found.detections.label_image()
         if self._masks is not None and labels is not None:
             self._add(self._masks, timestamp_ns, _image(labels.astype("<u2"), "16UC1", header))
         if self._images is not None:
-            drawn = annotate(
-                image, detections, self._class_names, label_image=labels, box_filter=self._box_filter
-            )
-            self._add(self._images, timestamp_ns, _image(drawn, f"{image.order}8", header))
+            drawn = self._detector.drawn(found.image, found.detections, labels)
+            self._add(self._images, timestamp_ns, _image(drawn.pixels, f"{drawn.order}8", header))
+
+    def finish(self) -> None:
+        self._writer.close()
+        self._is_finished = True
+
+    def close(self) -> None:
+        if not self._is_finished:
+            with suppress(Exception):
+                self._writer.abort()
 
     def _topic(
         self, name: str, type_name: str, *, depth: int, durability: QosDurability = QosDurability.VOLATILE

@@ -9,9 +9,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Protocol, TypeVar
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
+import numpy as np
+from numpy.typing import NDArray
+
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.loaded_detector import FixedSizeError
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel, prepare_model
 from yolov5_lifecycle.detection.selection import model_problems, selection
@@ -55,23 +58,17 @@ class RunStatistics:
         """Images that a recording claims and does not have."""
         self.stamps = stamps or StampCounts()
         self.objects: Counter[str] = Counter()
-        self._counter = FrameCounter()
+        self.counter = FrameCounter()
         self._begun_s = time.monotonic()
 
     @property
     def balance(self) -> FrameBalance:
-        return self._counter.balance()
+        return self.counter.balance()
 
     @property
     def rate_hz(self) -> float:
         """Images per second so far."""
         return self.balance.received / max(time.monotonic() - self._begun_s, 1e-9)
-
-    def receive(self) -> None:
-        self._counter.receive()
-
-    def finish(self, outcome: Outcome) -> None:
-        self._counter.finish(outcome)
 
 
 class ProgressListener(Protocol):
@@ -129,10 +126,18 @@ class OfflineDetector:
         """Whether the model computes masks."""
         return self._detector.segments
 
-    @property
-    def box_filter(self) -> BoxFilter | None:
-        """Which boxes count; None if all do."""
-        return self._selection.box_filter
+    def drawn(
+        self, image: ColourImage, detections: Detections, label_image: NDArray[np.uint16] | None = None
+    ) -> ColourImage:
+        """`image` with its `detections`, whose `label_image` may be known, and the regions that count."""
+        pixels = annotate(
+            image,
+            detections,
+            self.class_names,
+            label_image=label_image,
+            box_filter=self._selection.box_filter,
+        )
+        return ColourImage(pixels, image.order)
 
     def run(
         self,
@@ -148,8 +153,8 @@ class OfflineDetector:
         """
         statistics = RunStatistics(expected, self._stamps)
         for stored in images:
-            statistics.receive()
-            statistics.finish(self._detect(stored, write, statistics.objects))
+            statistics.counter.receive()
+            statistics.counter.finish(self._detect(stored, write, statistics.objects))
             self._listener.progress(statistics)
         if not statistics.balance[Outcome.DETECTED]:
             if not (count := statistics.balance.received):

@@ -111,3 +111,20 @@ class VideoFile:
             VideoFrame(number, number / rate_hz, frame.image) for number, frame in enumerate(source.frames)
         )
         return cls(frames, rate_hz, source.claimed_frames)
+
+
+class DistinctNames:
+    """Names of files about the images of one source, each for one image only, whatever its case."""
+
+    def __init__(self) -> None:
+        self._owners: dict[str, int] = {}
+
+    def of(self, stem: str, number: int) -> str:
+        """The name of the image `number`: `stem`, followed by the number if an earlier image has that name.
+
+        `_frame_` sorts it behind the files of the first image of that name.
+        """
+        name = stem
+        while self._owners.setdefault(name.casefold(), number) != number:
+            name += f"_frame_{number:06}"
+        return name

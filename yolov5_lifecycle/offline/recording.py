@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
+from backports import zstd
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -17,18 +20,19 @@ from rosbags.typesys.store import Typestore
 from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.distinct_names import DistinctNames
-from yolov5_lifecycle.offline.recording_files import files_of, open_storage, unpacked_message
-from yolov5_lifecycle.offline.recordings import is_mcap
-from yolov5_lifecycle.offline.stored_topics import (
+from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.offline.image_files import DistinctNames
+from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_mcap
+from yolov5_lifecycle.offline.stored_messages import (
     CDR,
     MAX_MESSAGE_BYTES,
-    DamageError,
-    Storage,
+    McapFile,
+    SqliteFile,
     StorageError,
     StoredTopic,
 )
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.outside_yaml import OutsideYamlError, texts_of
+from yolov5_lifecycle.printable import in_one_line, shell_command
 
 _RAW = "sensor_msgs/msg/Image"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
@@ -59,8 +63,15 @@ def _typestore() -> Typestore:
 
 TYPES = _typestore()
 """Message types of Jazzy and vision_msgs."""
-
-
+MAX_METADATA_BYTES = 16 << 20
+_FREE_SHARE = 0.9
+_BLOCK_BYTES = 1 << 20
+_DIGITS = 15
+"""Of a number of messages that is taken for one."""
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""A message of ROS 2 begins with a zero."""
+_Storage = McapFile | SqliteFile
+_FORMATS: Mapping[str, Callable[[Path, ExitStack], _Storage]] = {".mcap": McapFile, ".db3": SqliteFile}
 _MAX_LISTED = 50
 """Topics in an error."""
 Stamp = tuple[int, int]
@@ -145,7 +156,7 @@ class RecordedTopic:
 class Recording:
     """An open recording; see `open_recording`."""
 
-    def __init__(self, path: Path, storages: Sequence[Storage], claimed: Mapping[str, int]) -> None:
+    def __init__(self, path: Path, storages: Sequence[_Storage], claimed: Mapping[str, int]) -> None:
         self.path = path
         self._storages = storages
         self._claimed = claimed
@@ -200,7 +211,7 @@ class Recording:
                     if (found := next(messages, None)) is None:
                         break
                     timestamp_ns, data = found
-                    data = data and unpacked_message(data)
+                    data = data and _unpacked_message(data)
                 yield timestamp_ns, topic.type_name, data
 
     def topics(self, *type_names: str) -> list[RecordedTopic]:
@@ -232,19 +243,96 @@ def open_recording(path: Path) -> Iterator[Recording]:
     """
     with ExitStack() as stack:
         with _readable(path):
-            files = files_of(path)
-            storages = [open_storage(file, stack) for file in files.paths]
-        yield Recording(path, storages, files.claimed)
+            files, claimed = _files_of(path)
+            storages = [_open_storage(file, stack) for file in files]
+        yield Recording(path, storages, claimed)
 
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
     try:
         yield
-    except RecordingError:
-        raise
     except Exception as error:
         reason = in_one_line(str(error))[:500].removesuffix(".") or type(error).__name__
-        is_refused = isinstance(error, StorageError) and not isinstance(error, DamageError)
+        is_refused = isinstance(error, StorageError)
         repair = "" if is_refused else " If its end is missing, `mcap recover` may repair it."
         raise RecordingError(f"{path}: the recording cannot be read: {reason}.{repair}") from error
+
+
+def _files_of(path: Path) -> tuple[list[Path], Mapping[str, int]]:
+    """The files of the recording at `path`, in order, and the messages of each topic that it claims to have.
+
+    Raises StorageError and OSError.
+    """
+    if not path.is_dir():
+        return [path], {}
+    try:
+        described = texts_of(read_regular_file(path / METADATA, MAX_METADATA_BYTES))
+    except FileNotFoundError:
+        raise StorageError(
+            f"{METADATA} is missing, which is written when recording ends: "
+            f"{shell_command('ros2', 'bag', 'reindex', path)}"
+        ) from None
+    except (OutsideYamlError, RegularFileError) as error:
+        raise StorageError(f"{METADATA}: {error}") from None
+    bag = _mapping(_mapping(described).get("rosbag2_bagfile_information"))
+    names = bag.get("relative_file_paths")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise StorageError(f"{METADATA} has no list relative_file_paths")
+    # Written with the folder in front by early versions; a file elsewhere is not read.
+    return [path / PurePath(name).name for name in names], _claimed(bag)
+
+
+def _claimed(bag: Mapping[str, object]) -> Counter[str]:
+    counts: Counter[str] = Counter()
+    topics = bag.get("topics_with_message_count")
+    for topic in map(_mapping, topics if isinstance(topics, list) else []):
+        name, count = _mapping(topic.get("topic_metadata")).get("name"), topic.get("message_count")
+        if isinstance(name, str) and isinstance(count, str) and count.isdecimal() and len(count) <= _DIGITS:
+            counts[name] += int(count)
+    return counts
+
+
+def _mapping(value: object) -> Mapping[str, object]:
+    return value if isinstance(value, dict) else {}
+
+
+def _open_storage(path: Path, stack: ExitStack) -> _Storage:
+    """The file at `path`, which `stack` closes. Raises an exception of any kind if it is damaged."""
+    if not path.is_file():
+        found = "is not a regular file" if path.exists() else "is missing"
+        raise StorageError(f"{path.name} {found}")
+    if path.suffix == PACKED:
+        path = _unpacked(path, Path(stack.enter_context(tempfile.TemporaryDirectory())))
+    if path.suffix == ROS1_BAG:
+        command = shell_command("rosbags-convert", "--src", path, "--dst", path.with_suffix(""))
+        raise StorageError(f"it is a bag of ROS 1. Convert it: {command}")
+    if (new := _FORMATS.get(path.suffix)) is None:
+        raise StorageError(f"{path.name}: expected a name that ends in {' or '.join(_FORMATS)}")
+    return new(path, stack)
+
+
+def _unpacked(packed: Path, folder: Path) -> Path:
+    """The file `packed` in `folder`; raises StorageError if it would fill the disk."""
+    path = folder / packed.stem
+    left = int(shutil.disk_usage(folder).free * _FREE_SHARE)
+    with zstd.open(packed, "rb") as source, path.open("wb") as target:
+        while block := source.read(_BLOCK_BYTES):
+            if (left := left - len(block)) < 0:
+                raise StorageError(
+                    f"{packed.name} unpacks to more than {_FREE_SHARE:.0%} of what is free in "
+                    f"{folder.parent}: free some, or set TMPDIR to another disk"
+                )
+            target.write(block)
+    return path
+
+
+def _unpacked_message(data: bytes) -> bytes | None:
+    """`data`, unpacked if the recorder has packed the message; None if larger than MAX_MESSAGE_BYTES."""
+    if not data.startswith(_ZSTD_MAGIC):
+        return data
+    try:
+        content = zstd.ZstdDecompressor().decompress(data, MAX_MESSAGE_BYTES + 1)
+    except zstd.ZstdError:  # damaged, as the message will be
+        return data
+    return content if len(content) <= MAX_MESSAGE_BYTES else None

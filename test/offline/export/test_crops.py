@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import errno
-import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, run
-from support.many_recordings import messages
-from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, video
+from support.many_recordings import record_drives
+from support.recorded_scene import COUNT, SIZE_HW, images, video
 
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.detection.detections import Detections
@@ -25,7 +25,6 @@ from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 HEIGHT, WIDTH = SIZE_HW
-PLENTY = 1 << 40
 
 
 def detected(*boxes_xyxy: tuple[float, float, float, float], name: str = "a.png") -> DetectedImage:
@@ -42,10 +41,6 @@ def detected(*boxes_xyxy: tuple[float, float, float, float], name: str = "a.png"
     return DetectedImage(ImageFile(Path("/shots") / name), ColourImage(pixels, "rgb"), found)
 
 
-def crops(path: Path, class_name: str = "dog", free_bytes: int = PLENTY) -> Crops:
-    return Crops(path, [class_name], free_bytes=lambda _: free_bytes)
-
-
 def names(folder: Path) -> list[str]:
     return sorted(str(file.relative_to(folder)) for file in folder.rglob("*.jpg"))
 
@@ -53,7 +48,6 @@ def names(folder: Path) -> list[str]:
 @pytest.mark.parametrize(
     ("box_xyxy", "size_hw"),
     [
-        pytest.param((10.0, 20.0, 50.0, 40.0), (20, 40), id="whole pixels"),
         pytest.param((10.4, 20.6, 49.2, 39.1), (20, 40), id="touched pixels"),
         pytest.param((-30.0, -5.0, 12.0, 4.0), (4, 12), id="over the upper left"),
         pytest.param(
@@ -67,13 +61,13 @@ def names(folder: Path) -> list[str]:
 def test_a_crop_has_the_pixels_of_its_box(
     box_xyxy: tuple[float, float, float, float], size_hw: tuple[int, int], tmp_path: Path
 ) -> None:
-    crops(tmp_path / "crops").add(detected(box_xyxy))
+    Crops(tmp_path / "crops", ["dog"]).add(detected(box_xyxy))
     (file,) = (tmp_path / "crops" / "0_dog").iterdir()
     assert cv2.imread(str(file)).shape[:2] == size_hw
 
 
 def test_the_colours_of_a_crop_are_those_of_the_image(tmp_path: Path) -> None:
-    crops(tmp_path / "crops").add(detected((0, 0, 40, 40), (WIDTH - 40, 0, WIDTH, 40)))
+    Crops(tmp_path / "crops", ["dog"]).add(detected((0, 0, 40, 40), (WIDTH - 40, 0, WIDTH, 40)))
     left, right = (cv2.imread(str(tmp_path / "crops" / "0_dog" / f"a_{row}.jpg")) for row in (0, 1))
     assert (left.mean((0, 1)).argmax(), right.mean((0, 1)).argmax()) == (2, 0)  # BGR
 
@@ -82,38 +76,24 @@ def test_the_colours_of_a_crop_are_those_of_the_image(tmp_path: Path) -> None:
     ("class_name", "folder"),
     [
         ("traffic light", "0_traffic_light"),
-        ("../../etc", "0_______etc"),
         ("..", "0___"),
         ("a/b\\c:d*e", "0_a_b_c_d_e"),
-        ("狗", "0_狗"),
-        ("x" * 300, f"0_{'x' * 40}"),
         ("狗" * 300, f"0_{'狗' * 40}"),
     ],
 )
 def test_any_class_name_makes_a_safe_folder(class_name: str, folder: str, tmp_path: Path) -> None:
-    crops(tmp_path / "crops", class_name).add(detected((0, 0, 9, 9)))
+    Crops(tmp_path / "crops", [class_name]).add(detected((0, 0, 9, 9)))
     assert names(tmp_path) == [f"crops/{folder}/a_0.jpg"]
-
-
-@pytest.mark.parametrize("name", [f"{'n' * 251}.png", "\udcff.png", "-rf.png"], ids=["long", "bytes", "dash"])
-def test_any_image_name_makes_a_file(name: str, tmp_path: Path) -> None:
-    crops(tmp_path / "crops").add(detected((0, 0, 9, 9), name=name))
-    assert len(names(tmp_path)) == 1
 
 
 @pytest.mark.parametrize(
     ("images", "written"),
     [
-        pytest.param(["a.png", "b.png"], ["a", "b"], id="different names"),
         pytest.param(["a.jpg", "a.png"], ["a", "a_frame_000001"], id="different suffixes"),
         pytest.param(["A.png", "a.png"], ["A", "a_frame_000001"], id="different cases"),
+        pytest.param(["\udcff.png", "-rf.png"], ["\udcff", "-rf"], id="odd names"),
         pytest.param(
             [f"{'n' * 230}{end}.png" for end in "ab"], ["n" * 200, f"{'n' * 200}_frame_000001"], id="long"
-        ),
-        pytest.param(
-            ["a_frame_000001.png", "a.jpg", "a.png"],
-            ["a_frame_000001", "a", "a_frame_000002"],
-            id="a name like a numbered one",
         ),
         pytest.param(
             ["a.jpg", "a_frame_000002.png", "a.png"],
@@ -123,7 +103,7 @@ def test_any_image_name_makes_a_file(name: str, tmp_path: Path) -> None:
     ],
 )
 def test_each_image_has_crops_of_its_own(images: list[str], written: list[str], tmp_path: Path) -> None:
-    folder = crops(tmp_path / "crops")
+    folder = Crops(tmp_path / "crops", ["dog"])
     for name in images:
         folder.add(detected((0, 0, 9, 9), name=name))
     assert names(tmp_path / "crops") == sorted(f"0_dog/{stem}_0.jpg" for stem in written)
@@ -131,15 +111,16 @@ def test_each_image_has_crops_of_its_own(images: list[str], written: list[str], 
 
 def test_there_are_at_most_so_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_CROPS", 2)
-    folder = crops(tmp_path / "crops")
+    folder = Crops(tmp_path / "crops", ["dog"])
     folder.add(detected((0, 0, 9, 9)))
     with pytest.raises(OutputError, match="more than 2 detections: raise confidence_threshold"):
         folder.add(detected((0, 0, 9, 9), (9, 9, 20, 20), name="b.png"))
     assert names(tmp_path) == ["crops/0_dog/a_0.jpg"]
 
 
-def test_a_disk_that_is_nearly_full_is_left_alone(tmp_path: Path) -> None:
-    folder = crops(tmp_path / "crops", free_bytes=MIN_FREE_BYTES - 1)
+def test_a_disk_that_is_nearly_full_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=MIN_FREE_BYTES - 1))
+    folder = Crops(tmp_path / "crops", ["dog"])
     folder.add(detected())
     with pytest.raises(OSError, match="less than 256 MiB are free") as error:
         folder.add(detected((0, 0, 9, 9)))
@@ -147,36 +128,35 @@ def test_a_disk_that_is_nearly_full_is_left_alone(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("output", "folder"),
-    [("found.jsonl", "found_crops"), ("found", "found_crops"), ("found.yolo", "found_crops")],
+    ("make", "output", "stems"),
+    [
+        pytest.param(
+            lambda folder: images(folder / "shots"), "found.yolo", [str(n) for n in range(COUNT)], id="images"
+        ),
+        pytest.param(
+            lambda folder: video(folder / "drive.avi"),
+            "found.csv",
+            [f"frame_{number:06}" for number in range(COUNT)],
+            id="video",
+        ),
+        pytest.param(
+            lambda folder: record_drives(folder / "drives", {"drive": COUNT}) / "drive",
+            "found",
+            [f"170000000{number}_000000009" for number in range(COUNT)],
+            id="recording",
+        ),
+    ],
 )
-def test_the_command_puts_them_beside_its_output(output: str, folder: str, tmp_path: Path) -> None:
-    source = images(tmp_path / "shots")
-    assert run([str(source), "--output", str(tmp_path / output), "--crops", *SET_MODEL]) == 0
-    assert run([str(source), "--output", str(tmp_path / "lines.jsonl"), *SET_MODEL]) == 0
-    lines = [json.loads(line) for line in (tmp_path / "lines.jsonl").read_text().splitlines()]
-    assert names(tmp_path / folder) == sorted(
-        f"{CLASS_NAMES.index(one['class_name'])}_{one['class_name']}/{Path(line['file']).stem}_{row}.jpg"
-        for line in lines
-        for row, one in enumerate(line["detections"])
-    )
-
-
-def test_crops_of_a_recording_lie_beside_the_recording(tmp_path: Path) -> None:
-    drive = record(tmp_path / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
-    assert run([str(drive), "--output", str(tmp_path / "v1.2"), "--crops", *SET_MODEL]) == 0
-    assert messages(tmp_path / "v1.2")
-    stems = {name.partition("/")[2].rpartition("_")[0] for name in names(tmp_path / "v1.2_crops")}
-    assert stems == {f"170000000{number}_000000009" for number in range(COUNT)}
-
-
-def test_crops_of_a_video_are_named_after_its_frames(tmp_path: Path) -> None:
-    source = video(tmp_path / "drive.avi")
-    assert run([str(source), "--output", str(tmp_path / "found.csv"), "--crops", *SET_MODEL]) == 0
-    stems = {name.partition("/")[2].rpartition("_")[0] for name in names(tmp_path / "found_crops")}
-    assert stems == {f"frame_{number:06}" for number in range(COUNT)}
+def test_the_command_puts_them_beside_its_output_named_after_the_images(
+    make: Callable[[Path], Path], output: str, stems: list[str], tmp_path: Path
+) -> None:
+    assert run([str(make(tmp_path)), "--output", str(tmp_path / output), "--crops", *SET_MODEL]) == 0
+    assert (tmp_path / output).exists()
+    found = names(tmp_path / "found_crops")
+    assert {name.partition("/")[2].rpartition("_")[0] for name in found} == set(stems)
+    classes = {f"{number}_{name}" for number, name in enumerate(CLASS_NAMES)}
+    assert {name.partition("/")[0] for name in found} <= classes
 
 
 def test_a_folder_that_exists_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

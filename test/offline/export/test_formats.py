@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -19,19 +18,15 @@ from pyarrow import parquet
 from pycocotools import mask
 from pycocotools.coco import COCO
 from rosbags.rosbag2 import StoragePlugin
-from support.detected_offline import SET_MODEL, prepare_once, run
-from support.many_recordings import messages
+from support.detected_offline import SET_MODEL, run
 from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, stamp_s, video
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment
 
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.export.formats import FORMATS
-from yolov5_lifecycle.offline.export.table import COLUMNS
-from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.offline.export.formats import COLUMNS
+from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 HEIGHT, WIDTH = SIZE_HW
@@ -104,10 +99,6 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 each_source = pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
 
 
-def test_every_format_is_read_here() -> None:
-    assert READ.keys() == FORMATS.keys()
-
-
 @pytest.mark.long
 @each_source
 @pytest.mark.parametrize("suffix", READ)
@@ -128,39 +119,24 @@ def test_a_format_has_the_detections_of_the_lines(
     assert sorted(one.name for one in tmp_path.iterdir()) == sorted([path.name, lines.name, output.name])
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("source", "identity", "values"),
-    [
-        pytest.param("images", "file", None, id="images"),
-        pytest.param("video", "frame", list(range(COUNT)), id="video"),
-        pytest.param(
-            "recording", "stamp_ns", [stamp_s(number) * 10**9 + 9 for number in range(COUNT)], id="recording"
-        ),
-    ],
-)
-def test_an_image_is_identified_in_every_format(
-    source: str, identity: str, values: list[int] | None, tmp_path: Path
-) -> None:
-    path = SOURCES[source](tmp_path)
-    files = [str(path / f"{number}.png") for number in range(COUNT)]
-    wanted: list[object] = [*files] if values is None else [*values]
+def test_a_recorded_image_is_identified_in_every_format(tmp_path: Path) -> None:
+    path = recording(tmp_path / "drive")
+    stamps_ns = [stamp_s(number) * 10**9 + 9 for number in range(COUNT)]
     for suffix in (".jsonl", ".csv", ".parquet"):
         assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 0
     lines = [json.loads(line) for line in (tmp_path / "found.jsonl").read_text().splitlines()]
-    assert [line[identity] for line in lines] == wanted
-    keys = [identity, *(["frame"] if source == "recording" else [])]
+    assert [line["stamp_ns"] for line in lines] == stamps_ns
     header, *rows = csv.reader((tmp_path / "found.csv").read_text().splitlines())
-    assert header == [*keys, *COLUMNS]
-    assert list(dict.fromkeys(row[0] for row in rows)) == list(map(str, wanted))
+    assert header == ["stamp_ns", "frame", *COLUMNS]
+    assert list(dict.fromkeys(row[0] for row in rows)) == list(map(str, stamps_ns))
     table = parquet.read_table(tmp_path / "found.parquet")
-    assert table.column_names == [*keys, *COLUMNS]
-    assert list(dict.fromkeys(table[identity].to_pylist())) == wanted
+    assert table.column_names == header
+    assert list(dict.fromkeys(table["stamp_ns"].to_pylist())) == stamps_ns
 
 
 def test_tracks_have_their_ids_in_tables_and_coco(tmp_path: Path) -> None:
     source = video(tmp_path / "drive.avi")
-    for suffix in (".jsonl", ".json", ".csv", ".parquet"):
+    for suffix in (".jsonl", ".json", ".parquet"):
         words = ["--output", str(tmp_path / f"found{suffix}"), "--track", *SET_MODEL]
         assert run([str(source), *words]) == 0
     lines = (tmp_path / "found.jsonl").read_text().splitlines()
@@ -168,8 +144,6 @@ def test_tracks_have_their_ids_in_tables_and_coco(tmp_path: Path) -> None:
     assert any(ids)
     content = json.loads((tmp_path / "found.json").read_text())
     assert [one["track_id"] for one in content["annotations"]] == ids
-    rows = csv.DictReader((tmp_path / "found.csv").read_text().splitlines())
-    assert [row["id"] for row in rows] == ids
     table = parquet.read_table(tmp_path / "found.parquet")
     assert [one or "" for one in table["id"].to_pylist()] == ids
 
@@ -187,13 +161,9 @@ def test_pycocotools_reads_the_file_and_its_masks(tmp_path: Path, capsys: pytest
     assert [one["segmentation"] for one in annotations] == masks
     assert [one["area"] for one in annotations] == [mask.area(coco.annToRLE(one)) for one in annotations]
     assert min(one["id"] for one in annotations) == 1
-
-
-@pytest.mark.parametrize("suffix", [".json", ".jsonl"])
-def test_without_masks_none_is_in_the_file(suffix: str, tmp_path: Path) -> None:
-    source, output = images(tmp_path / "shots"), tmp_path / f"found{suffix}"
-    assert segment([str(source), "--output", str(output), "--no-masks", *SET_SEGMENTING]) == 0
-    assert "counts" not in output.read_text()
+    words = ["--output", str(tmp_path / "without.json"), "--no-masks", *SET_SEGMENTING]
+    assert segment([str(source), *words]) == 0
+    assert "counts" not in (tmp_path / "without.json").read_text()
 
 
 def test_yolo_text_becomes_a_data_set_beside_its_images(tmp_path: Path) -> None:
@@ -207,78 +177,32 @@ def test_yolo_text_becomes_a_data_set_beside_its_images(tmp_path: Path) -> None:
     assert len(data.images) == COUNT + 1
 
 
-def test_an_output_without_suffix_has_lines(tmp_path: Path) -> None:
-    source, output = images(tmp_path / "shots"), tmp_path / "found"
-    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
-    assert len(list(of_jsonl(output))) > COUNT
-
-
-def test_the_case_of_a_suffix_makes_no_difference(tmp_path: Path) -> None:
-    source, output = images(tmp_path / "shots"), tmp_path / "found.CSV"
-    assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
-    assert list(of_csv(output))
-
-
-@pytest.mark.parametrize("name", ["found.xlsx", "found.txt", "found.csv.gz"])
-def test_a_format_that_does_not_exist_is_refused_with_those_that_do(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("name", "read"), [("found", of_jsonl), ("found.CSV", of_csv)])
+def test_the_default_are_lines_and_the_case_of_a_suffix_makes_no_difference(
+    name: str, read: Callable[[Path], Iterator[Row]], tmp_path: Path
 ) -> None:
-    source = images(tmp_path / "shots")
-    assert main([str(source), "--output", str(tmp_path / name)], prepare=never) == 1
-    told = capsys.readouterr().err
-    assert f"{name}: expected a name that ends in .jsonl (JSON lines), .json (COCO), .csv (CSV), " in told
-    assert list(tmp_path.iterdir()) == [source]
+    assert run([str(images(tmp_path / "shots")), "--output", str(tmp_path / name), *SET_MODEL]) == 0
+    assert len(list(read(tmp_path / name))) > COUNT
 
 
-def never(settings: Settings, sizes: object) -> PreparedModel:
-    raise AssertionError("the model is not needed to refuse this")
-
-
-def test_parquet_names_the_package_that_it_lacks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    source = images(tmp_path / "shots")
-    words = [str(source), "--output", str(tmp_path / "found.parquet")]
-    assert main(words, prepare=never) == 1
-    told = capsys.readouterr().err
-    assert ".parquet needs the package pyarrow: " in told
-    assert "-m pip install pyarrow" in told
-    assert list(tmp_path.iterdir()) == [source]
-
-
-def interrupted() -> Prepare:
-    """The embedded model, which is interrupted at the second image."""
-    calls: list[object] = []
-
-    def prepare(settings: Settings, sizes: Any) -> PreparedModel:
-        prepared = prepare_once(settings, sizes)
-
-        class Interrupted:
-            def __getattr__(self, name: str) -> Any:
-                return getattr(prepared.detector, name)
-
-            def detect(self, image: Any, selection: Any) -> Any:
-                calls.append(image)
-                if len(calls) == 2:
-                    raise KeyboardInterrupt
-                return prepared.detector.detect(image, selection)
-
-        detector: Any = Interrupted()
-        return replace(prepared, detector=detector)
-
-    return prepare
-
-
-@pytest.mark.long
-@each_source
-@pytest.mark.parametrize("suffix", ["", *READ])
+@pytest.mark.parametrize(
+    ("suffix", "source"),
+    [
+        *(("", "recording"), (".jsonl", "video"), (".json", "images")),
+        *((".csv", "recording"), (".parquet", "video"), (".yolo", "images")),
+    ],
+)
 def test_an_interrupted_export_leaves_nothing(
-    suffix: str, source: Callable[[Path], Path], tmp_path: Path
+    suffix: str,
+    source: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    path = source(tmp_path)
-    words = [str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]
-    assert main(words, prepare=interrupted()) == 130
+    path = SOURCES[source](tmp_path)
+    monkeypatch.setattr(Terminal, "progress", Mock(side_effect=[None, KeyboardInterrupt]))
+    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]) == 130
+    assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -287,66 +211,25 @@ def test_two_images_of_one_name_are_refused_in_yolo_text(
 ) -> None:
     source = images(tmp_path / "shots")
     shutil.copy(source / "1.png", source / "1.bmp")
-    assert main([str(source), "--output", str(tmp_path / "found.yolo")], prepare=never) == 1
+    assert run([str(source), "--output", str(tmp_path / "found.yolo"), *SET_MODEL]) == 1
     assert "1: 2 images have this name, but YOLO text has one file for each" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [source]
 
 
-REPEATED = ("0_000000000", "0_000000000_frame_000001", "0_000000000_frame_000003", "1700000002_000000009")
-"""Of images that are stamped 0, 0, 1700000002, 0."""
-
-
-def stamped_again(path: Path) -> Path:
+def test_images_of_one_stamp_are_told_apart(tmp_path: Path) -> None:
     taken = [raw(number) for number in (0, 1, 2, 0)]
     for number in (0, 1, 3):
         taken[number].header.stamp.sec = taken[number].header.stamp.nanosec = 0
-    return record(path, taken, storage=StoragePlugin.MCAP)
-
-
-def frames_of(rows: Iterable[dict[str, Any]]) -> list[int]:
-    return list(dict.fromkeys(int(row["frame"]) for row in rows))
-
-
-FOUND = "/yolov5/detections"
-TOLD_APART: dict[str, tuple[Callable[[Path], Sequence[object]], Sequence[object]]] = {
-    "": (lambda path: [one for one, *_ in messages(path) if one == FOUND], [FOUND] * 4),
-    ".jsonl": (lambda path: frames_of(map(json.loads, path.read_text().splitlines())), range(4)),
-    ".json": (
-        lambda path: sorted(one["file_name"] for one in json.loads(path.read_text())["images"]),
-        REPEATED,
-    ),
-    ".csv": (lambda path: frames_of(csv.DictReader(path.read_text().splitlines())), range(4)),
-    ".parquet": (lambda path: frames_of(parquet.read_table(path).to_pylist()), range(4)),
-    ".yolo": (lambda path: sorted(file.stem for file in (path / "labels").iterdir()), REPEATED),
-}
-
-
-@pytest.mark.parametrize("suffix", ["", *READ])
-def test_images_of_one_stamp_are_told_apart(suffix: str, tmp_path: Path) -> None:
-    source, output = stamped_again(tmp_path / "drive"), tmp_path / f"found{suffix}"
-    assert run([str(source), "--output", str(output), "--crops", *SET_MODEL]) == 0
-    crops = {file.name.rpartition("_")[0] for file in (tmp_path / "found_crops").rglob("*.jpg")}
-    assert sorted(crops) == list(REPEATED)
-    read, told = TOLD_APART[suffix]
-    assert list(read(output)) == list(told)
-
-
-def test_a_label_is_that_of_the_crops_of_its_name(tmp_path: Path) -> None:
-    source, output = stamped_again(tmp_path / "drive"), tmp_path / "found.yolo"
-    assert run([str(source), "--output", str(output), "--crops", *SET_MODEL]) == 0
-    for stem in REPEATED:
-        crops = {
-            int(file.stem.rpartition("_")[2]): (
-                int(file.parent.name.partition("_")[0]),
-                cv2.imread(str(file)).shape[:2],
-            )
-            for file in (tmp_path / "found_crops").rglob(f"{stem}_[0-9].jpg")
-        }
-        lines = (output / "labels" / f"{stem}.txt").read_text().splitlines()
-        assert [crops[row][0] for row in range(len(lines))] == [int(line.split()[0]) for line in lines]
-        for row, line in enumerate(lines):
-            _, _, _, width, height = map(float, line.split())
-            np.testing.assert_allclose(crops[row][1], (height * HEIGHT, width * WIDTH), atol=2)
+    source = record(tmp_path / "drive", taken, storage=StoragePlugin.MCAP)
+    for suffix in (".json", ".yolo"):
+        words = ["--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]
+        assert run([str(source), *words, *(["--crops"] if suffix == ".yolo" else [])]) == 0
+    told = ["0_000000000", "0_000000000_frame_000001", "0_000000000_frame_000003", "1700000002_000000009"]
+    assert {file.name.rpartition("_")[0] for file in tmp_path.rglob("*.jpg")} == set(told)
+    assert sorted(file.stem for file in (tmp_path / "found.yolo" / "labels").iterdir()) == told
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert sorted(one["file_name"] for one in content["images"]) == told
+    assert [one["frame"] for one in content["images"]] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".json"])
@@ -355,49 +238,3 @@ def test_a_file_name_that_is_no_text_is_escaped(suffix: str, tmp_path: Path) -> 
     (source / "0.png").rename(source / "\udcff.png")
     assert run([str(source), "--output", str(output), *SET_MODEL]) == 0
     assert len({row.image for row in READ[suffix](output)}) == COUNT
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        pytest.param(
-            ["drive.avi", "--images", "--topic", "/x", "--output", "x.yolo", "--track"],
-            [
-                "--topic applies to recordings only",
-                "--images applies to recordings only",
-                ".yolo has no ids of tracks",
-            ],
-            id="video",
-        ),
-        pytest.param(
-            ["drive", "--annotated", "x.mp4", "--images", "--output", "x.csv"],
-            ["--annotated does not apply to recordings", "--images needs a recording as output"],
-            id="recording",
-        ),
-        pytest.param(
-            ["shots", "--track", "--crops"],
-            ["shots has still images; tracking needs", "--crops needs --output"],
-            id="images",
-        ),
-        pytest.param(
-            ["drive", "drive.avi", "--annotated", "x", "--crops"],
-            ["give --output, the folder for the results", "--annotated applies to a single video"],
-            id="many",
-        ),
-    ],
-)
-def test_all_arguments_that_contradict_are_told_at_once(
-    words: list[str],
-    told: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for source in SOURCES.values():
-        source(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        main(words, prepare=never)
-    assert end.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert [text for text in told if text not in line] == []

@@ -6,27 +6,88 @@ import json
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from threading import Barrier
 from typing import Any
 
 import pytest
-from support.many_recordings import Notes, ScriptedWorker, done, loaded, plan_for
+from support.many_recordings import plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused
+from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
+from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused
+from yolov5_lifecycle.offline.many_recordings.summary import BatchProgress, BatchTerminal
 from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, detect_recordings
-from yolov5_lifecycle.offline.many_recordings.tally import Tally
-from yolov5_lifecycle.offline.many_recordings.workers import DiedError, suitable_count
+from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.offline.terminal import objects_line
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
+
+
+class Notes(BatchTerminal):
+    """Remembers what it is told; `on_progress` is called each time."""
+
+    def __init__(self, on_progress: Callable[[BatchProgress], object]) -> None:
+        super().__init__()
+        self.remarks: list[str] = []
+        self._on_progress = on_progress
+
+    def remark(self, text: str) -> None:
+        self.remarks.append(text)
+
+    def progress(self, batch: BatchProgress) -> None:
+        self._on_progress(batch)
+
+
+class ScriptedWorker(Worker):
+    """A worker that answers what `on_load` and `on_detect` return for it, unless they raise."""
+
+    def __init__(
+        self,
+        on_load: Callable[[ScriptedWorker, Plan], Plan | Refused],
+        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult | Refused],
+    ) -> None:
+        self.plans: list[Plan] = []
+        self.begun: list[str] = []
+        self.is_stopped = self.is_closed = False
+        self._on_load, self._on_detect = on_load, on_detect
+
+    def load(self, plan: Plan) -> Plan | Refused:
+        self.plans.append(plan)
+        return self._on_load(self, plan)
+
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+        self.begun.append(source.name)
+        on_image(1)
+        return self._on_detect(self, source)
+
+    def restart(self) -> None:
+        self.is_stopped = False
+
+    def stop(self) -> None:
+        self.is_stopped = True
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+        raise NotImplementedError
+
+
+def loaded(worker: ScriptedWorker, plan: Plan) -> Plan:
+    """What a worker answers that has loaded the model."""
+    return plan.chosen("torch", "fp32")
+
+
+def done(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+    """What a worker answers that has read two images."""
+    return RecordingResult(recording=source.name, path=str(source.path), state="done", images=2)
 
 
 class ScriptedRun:
@@ -39,14 +100,14 @@ class ScriptedRun:
         *,
         on_load: Callable[[ScriptedWorker, Plan], Plan | Refused] = loaded,
         on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult | Refused] = done,
-        on_progress: Callable[[Tally], object] = lambda _: None,
+        on_progress: Callable[[BatchProgress], object] = lambda _: None,
         **settings: Any,
     ) -> None:
         self.notes = Notes(on_progress)
         self.workers = [ScriptedWorker(on_load, on_detect) for _ in range(count)]
         self.plan = plan_for(folder / "found", **({"runtime": "auto"} | settings))
 
-    def run(self) -> Tally:
+    def run(self) -> BatchProgress:
         return detect_recordings(SOURCES, self.plan, new_workers=lambda _: self.workers, terminal=self.notes)
 
     @property
@@ -61,13 +122,13 @@ def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -
         return loaded(worker, plan)
 
     scripted = ScriptedRun(tmp_path, 3, on_load=load)
-    tally = scripted.run()
+    batch = scripted.run()
     settings = [plan.settings for worker in scripted.workers for plan in worker.plans]
     assert [one.runtime for one in settings] == ["auto", "torch", "torch"]
     assert [one.precision for one in settings] == ["auto", "fp32", "fp32"]
     assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
     assert scripted.begun == list("abcd")
-    assert (tally.in_state("done"), tally.images) == (4, 8)
+    assert (batch.states["done"], batch.images) == (4, 8)
 
 
 def test_with_runtime_and_precision_set_all_workers_start_at_once(tmp_path: Path) -> None:
@@ -80,49 +141,42 @@ def test_with_runtime_and_precision_set_all_workers_start_at_once(tmp_path: Path
     assert ScriptedRun(tmp_path, 3, on_load=load, runtime="torch", precision="fp32").run().is_complete
 
 
-def test_the_recording_of_a_dead_worker_is_retried(tmp_path: Path) -> None:
-    deaths = ["a", "c"]
+def test_the_recording_of_a_dead_worker_is_retried_until_it_fails(tmp_path: Path) -> None:
+    deaths = ["a", "b", "b", "c"]
 
     def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
         if source.name in deaths:
             deaths.remove(source.name)
-            raise DiedError("the worker died (signal 9)")
+            raise ChildProcessError("the worker died (signal 9)")
         return done(worker, source)
 
     scripted = ScriptedRun(tmp_path, on_detect=detect)
-    assert scripted.run().in_state("done") == 4
-    assert scripted.begun == list("aabccd")
+    assert scripted.run().states == {"done": 3, "skipped": 0, "failed": 1}
+    assert scripted.begun == list("aabbccd")
+    reason = f"the worker died (signal 9) {MAX_DEATHS} times while reading this recording"
     assert sorted(scripted.notes.remarks) == [
-        f"{name}: the worker died (signal 9); another worker retries it" for name in "ac"
+        "a: the worker died (signal 9); another worker retries it",
+        f"b: failed: {reason}",
+        "b: the worker died (signal 9); another worker retries it",
+        "c: the worker died (signal 9); another worker retries it",
     ]
-
-
-def test_the_recording_at_which_workers_die_is_set_aside(tmp_path: Path) -> None:
-    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        if source.name == "b":
-            raise DiedError("it died")
-        return done(worker, source)
-
-    scripted = ScriptedRun(tmp_path, on_detect=detect)
-    tally = scripted.run()
-    assert (tally.in_state("done"), tally.in_state("set aside")) == (3, 1)
-    assert scripted.notes.aside == [f"b: set aside: it died {MAX_DEATHS} times while reading this recording"]
-    assert scripted.begun.count("b") == MAX_DEATHS
 
 
 @pytest.mark.parametrize("runtime", ["auto", "torch"])
 @pytest.mark.parametrize(
     ("answer", "told"),
     [
-        pytest.param(DiedError("it died"), "it died while loading the model, 2 times in a row", id="dies"),
+        pytest.param(
+            ChildProcessError("it died"), "it died while loading the model, 2 times in a row", id="dies"
+        ),
         pytest.param(Refused("no such class"), "no such class", id="refuses"),
     ],
 )
 def test_a_model_that_no_worker_can_load_ends_the_run(
-    answer: DiedError | Refused, told: str, runtime: str, tmp_path: Path
+    answer: ChildProcessError | Refused, told: str, runtime: str, tmp_path: Path
 ) -> None:
     def load(worker: ScriptedWorker, plan: Plan) -> Refused:
-        if isinstance(answer, DiedError):
+        if isinstance(answer, ChildProcessError):
             raise answer
         return answer
 
@@ -132,15 +186,19 @@ def test_a_model_that_no_worker_can_load_ends_the_run(
     assert all(worker.is_closed for worker in scripted.workers)
     assert (scripted.begun, scripted.notes.remarks) == ([], [])
     assert not scripted.plan.output.exists()
+    scripted.plan.output.mkdir()  # by the user, so that it stays
+    with pytest.raises(DetectingError, match=told):
+        scripted.run()
+    assert scripted.plan.output.is_dir()
 
 
 def test_a_worker_that_dies_once_while_it_loads_loads_again(tmp_path: Path) -> None:
     def load(worker: ScriptedWorker, plan: Plan) -> Plan:
         if len(worker.plans) == 1:
-            raise DiedError("it died")
+            raise ChildProcessError("it died")
         return loaded(worker, plan)
 
-    assert ScriptedRun(tmp_path, on_load=load).run().in_state("done") == 4
+    assert ScriptedRun(tmp_path, on_load=load).run().states["done"] == 4
 
 
 def only_the_first_loads(worker: ScriptedWorker, plan: Plan) -> Plan | Refused:
@@ -149,14 +207,14 @@ def only_the_first_loads(worker: ScriptedWorker, plan: Plan) -> Plan | Refused:
 
 def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None:
     scripted = ScriptedRun(tmp_path, on_load=only_the_first_loads)
-    assert scripted.run().in_state("done") == 4
+    assert scripted.run().states["done"] == 4
     (remark,) = scripted.notes.remarks
     assert remark == "continuing with 1 worker(s): another one could not start: not enough memory"
 
 
 def test_the_last_worker_is_not_left_out(tmp_path: Path) -> None:
     def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        raise DiedError("it died")
+        raise ChildProcessError("it died")
 
     scripted = ScriptedRun(tmp_path, 1, on_load=only_the_first_loads, on_detect=detect)
     with pytest.raises(DetectingError, match="not enough memory"):
@@ -167,10 +225,10 @@ def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) ->
     def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
         while not worker.is_stopped:
             time.sleep(0.001)
-        raise DiedError("it died")
+        raise ChildProcessError("it died")
 
-    def interrupt(tally: Tally) -> None:
-        if tally.images:
+    def interrupt(batch: BatchProgress) -> None:
+        if batch.images:
             raise KeyboardInterrupt
 
     scripted = ScriptedRun(tmp_path, 3, on_load=only_the_first_loads, on_detect=detect, on_progress=interrupt)
@@ -205,9 +263,43 @@ def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
     scripted = ScriptedRun(tmp_path)
     scripted.run()
     assert [path.name for path in scripted.plan.output.iterdir()] == ["summary.json"]
-    assert json.loads((scripted.plan.output / "summary.json").read_text())["done"] == 4
+    assert json.loads((scripted.plan.output / "summary.json").read_text())["states"]["done"] == 4
     (remark,) = scripted.notes.remarks
     assert remark.endswith("-m pip install pyarrow")
+
+
+def summaries(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_the_old_summary_stays_until_the_new_one_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ScriptedRun(tmp_path).run()
+    before = summaries(tmp_path / "found")
+    assert before.keys() == {"summary.json", "summary.parquet"}
+    with pytest.raises(DetectingError, match="no memory"):
+        ScriptedRun(tmp_path, on_load=lambda *_: Refused("no memory")).run()
+    assert summaries(tmp_path / "found") == before
+    synchronised: list[int] = []
+
+    def full(descriptor: int) -> None:
+        synchronised.append(descriptor)
+        if len(synchronised) == 2:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        ScriptedRun(tmp_path).run()
+    assert summaries(tmp_path / "found") == before
+
+
+def test_names_in_a_report_are_one_line_without_escapes() -> None:
+    line = objects_line(Counter({"\x1b[2K\rERROR": 2, "a\nb": 1, "\u202eabc": 1}))
+    assert line.count("\n") == 1
+    assert line.rstrip("\n").isprintable()
+    assert len(objects_line(Counter({"x" * 200 + str(number): 1 for number in range(10_000)}))) < 10_100
+    assert str(BatchProgress(0)).count("\n") == 4
 
 
 @pytest.mark.parametrize(
@@ -218,66 +310,3 @@ def test_there_are_no_more_workers_than_recordings_jobs_and_cores(
 ) -> None:
     assert 1 <= suitable_count(recordings, jobs) <= count
     assert jobs is None or suitable_count(recordings, jobs) == count
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        pytest.param(["a", "b"], "give --output, the folder for the results", id="no output"),
-        pytest.param(["a", "b", "--output", "x", "--annotated", "y"], "use --images", id="drawings"),
-        pytest.param(
-            ["a", "--jobs", "0", "--output", "x"], "expected a number of processes from 1 to", id="no jobs"
-        ),
-        pytest.param(["a", "--jobs", "many", "--output", "x"], ", found 'many'", id="word"),
-    ],
-)
-def test_wrong_usage_is_one_line(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(words)
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert told in line
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        pytest.param(["nothing", "drive"], "nothing: file or folder not found", id="missing"),
-        pytest.param(
-            ["drive", "--jobs", "1", "--output", "no/x"], "folder not found; create it", id="no folder"
-        ),
-        pytest.param(["drive", "--jobs", "1", "--output", "file"], "file is not a folder", id="file"),
-        pytest.param(
-            ["copy.mcap", "--jobs", "1", "--output", "drive"], "drive is a recording", id="recording"
-        ),
-        pytest.param(["drive", "--ray", "127.0.0.1:1"], "no Ray cluster answers", id="no cluster"),
-        pytest.param(
-            ["drive", "--jobs", "1", "--set", "weights_sha256=" + "f" * 64], "its sha256 is", id="pin"
-        ),
-    ],
-)
-def test_an_error_says_what_to_do_and_leaves_nothing_behind(
-    words: list[str],
-    told: str,
-    drive: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(drive.parent)
-    Path("file").touch()
-    Path("copy.mcap").touch()
-    before = sorted(drive.parent.rglob("*"))
-    weights = plan_for(drive).settings.weights
-    assert main(["--output", "found", *words, "--set", f"weights={weights}"]) == 1
-    assert told in capsys.readouterr().err
-    assert sorted(drive.parent.rglob("*")) == before
-
-
-def test_without_ray_the_option_says_how_to_install_it(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    weights = plan_for(drive).settings.weights
-    words = [str(drive), "--output", str(drive.parent / "found"), "--ray", "auto"]
-    assert main([*words, "--set", f"weights={weights}"]) == 1
-    assert "-m pip install ray" in capsys.readouterr().err

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,8 @@ import numpy as np
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.annotated_files import write_image
-from yolov5_lifecycle.offline.distinct_names import DistinctNames
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
+from yolov5_lifecycle.offline.image_files import DistinctNames
 
 MAX_CROPS = 1_000_000
 """Files of one source: more make a folder unusable."""
@@ -25,25 +25,17 @@ _MAX_STEM_BYTES = 200
 _SUFFIX = ".jpg"
 
 
-def _free_bytes(folder: Path) -> int:
-    return shutil.disk_usage(folder).free
-
-
-class Crops:
+class Crops(Sink):
     """Writes the new folder `path`: `<class id>_<class name>/<stem>_<row>.jpg` for each detection.
 
     A stem that an earlier image has is followed by the number of the image. Detections of one image are
-    numbered from 0, the highest score first. `free_bytes` says how much room the disk of a folder has. See
-    `Sink`.
+    numbered from 0, the highest score first.
     """
 
-    def __init__(
-        self, path: Path, class_names: Sequence[str], *, free_bytes: Callable[[Path], int] = _free_bytes
-    ) -> None:
+    def __init__(self, path: Path, class_names: Sequence[str]) -> None:
         path.mkdir()
         self._path = path
         self._class_names = class_names
-        self._free_bytes = free_bytes
         self._names = DistinctNames()
         self._images = self._count = 0
 
@@ -57,12 +49,6 @@ class Crops:
             folder.mkdir(exist_ok=True)
             write_image(folder / f"{name}_{row}{_SUFFIX}", _crop(found, row))
 
-    def finish(self) -> None:
-        """Nothing is left: each file is complete."""
-
-    def close(self) -> None:
-        """Nothing is open."""
-
     def _check_room(self, found: DetectedImage) -> None:
         self._count += len(found.detections)
         if self._count > MAX_CROPS:
@@ -70,7 +56,7 @@ class Crops:
                 f"--crops: more than {MAX_CROPS:,} detections: raise confidence_threshold, select classes, "
                 "or divide the source."
             )
-        if len(found.detections) and self._free_bytes(self._path) < MIN_FREE_BYTES:
+        if len(found.detections) and shutil.disk_usage(self._path).free < MIN_FREE_BYTES:
             raise OSError(
                 errno.ENOSPC,
                 f"less than {MIN_FREE_BYTES >> 20} MiB are free, which --crops leaves",

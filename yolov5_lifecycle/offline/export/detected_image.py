@@ -1,8 +1,8 @@
-"""An image of a source and its detections, as every format gets them, and what a format is."""
+"""An image of a source and its detections, as every output gets them, and what an output is."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -41,16 +41,6 @@ class DetectedImage:
     image: ColourImage
     detections: Detections
 
-    def objects(self, class_names: Sequence[str]) -> list[dict[str, object]]:
-        """The detections for JSON: class name, score, box and, with a tracker, id."""
-        found: list[dict[str, object]] = [
-            {"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy}
-            for one in self.detections.objects(class_names)
-        ]
-        for one, track_id in zip(found, self.detections.track_ids, strict=False):  # none without a tracker
-            one["id"] = track_id
-        return found
-
     def mask(self, row: int) -> tuple[dict[str, object], int] | None:
         """COCO's RLE of the mask of detection `row` and its number of pixels; None without masks."""
         masks = self.detections.masks
@@ -68,22 +58,19 @@ class DetectedImage:
         return cut
 
 
-class Sink(Protocol):
-    """Where detected images go, one after the other. `close` releases its files and may be called twice."""
+class Sink:
+    """Where detected images go, one after the other."""
 
     def add(self, found: DetectedImage) -> None:
         """Write an image; raises OutputError, OSError and ImageError."""
+        raise NotImplementedError
 
     def finish(self) -> None:
         """Complete the output after the last image; raises OutputError and OSError."""
+        self.close()
 
     def close(self) -> None:
-        """Release what is open; output that is not finished may be damaged."""
-
-
-def utf8(value: str | int) -> str | int:
-    """`value` for formats that are UTF-8 throughout: other bytes of a file name become escapes."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+        """Release what is open, also if called twice; output that is not finished may be damaged."""
 
 
 def coco_rle(window: Window, inside: NDArray[np.bool_], size_hw: tuple[int, int]) -> dict[str, object]:

@@ -1,29 +1,267 @@
-"""The formats of exported detections: which suffix of an output stands for which."""
+"""The formats of exported detections, and which suffix of an output stands for which."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import csv
+import json
+import shutil
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any
+
+import yaml
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.offline.export.coco_json import CocoJson
-from yolov5_lifecycle.offline.export.detected_image import NamedImage, Sink
-from yolov5_lifecycle.offline.export.json_lines import JsonLines
-from yolov5_lifecycle.offline.export.table import CsvTable, ParquetTable
-from yolov5_lifecycle.offline.export.yolo_folder import YoloFolder, check_stems
+from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.missing_package import absence_of
 
 JSON_LINES = ".jsonl"
 """The format of images and videos whose output has no suffix."""
+COLUMNS = {
+    "width": "int32",
+    "height": "int32",
+    "class_id": "int32",
+    "class_name": "string",
+    "score": "float32",
+    "x_min": "float32",
+    "y_min": "float32",
+    "x_max": "float32",
+    "y_max": "float32",
+    "id": "string",
+}
+"""Names and types of the columns behind those that identify the image; boxes in image pixels."""
+_GROUP_ROWS = 1 << 16
+"""Rows that are held in memory before they are written."""
 
 
-class NewSink(Protocol):
-    """Creates the output at a path, for detections of the classes, with masks if it can hold them."""
+class JsonLines(Sink):
+    """Writes a line for each image to the new file `path`, or to stdout.
 
-    def __call__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> Sink: ...
+    A line has the identity of the image, its size and its detections, boxes in image pixels. With `masks`
+    each detection that has a mask gets it as COCO's RLE of the whole image.
+    """
+
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
+        self._file = None if path is None else path.open("w", encoding="utf-8")
+        self._class_names = class_names
+        self._masks = masks
+
+    def add(self, found: DetectedImage) -> None:
+        height, width = found.image.size_hw
+        objects: list[dict[str, object]] = []
+        for row, one in enumerate(found.detections.objects(self._class_names)):
+            objects.append({"class_name": one.class_name, "score": one.score, "box_xyxy": one.box_xyxy})
+            if found.detections.track_ids:
+                objects[row]["id"] = one.track_id
+            if self._masks and (mask := found.mask(row)) is not None:
+                objects[row]["mask"], _ = mask
+        content = {**found.named.identity, "width": width, "height": height, "detections": objects}
+        (self._file or sys.stdout).write(json.dumps(content) + "\n")
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+
+class CocoJson(Sink):
+    """Writes the new file `path`, whatever the number of images: annotations wait in a file beside it.
+
+    Ids of images and annotations begin with 1, because pycocotools takes 0 for none.
+    """
+
+    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+        self._waiting = path.with_name(path.name + ".annotations")
+        self._masks = masks
+        self._images = 0
+        self._objects = 0
+        categories = [{"id": number, "name": name} for number, name in enumerate(class_names)]
+        self._file = path.open("w", encoding="utf-8")
+        self._annotations = self._waiting.open("w+", encoding="utf-8")
+        self._file.write(f'{{"categories": {json.dumps(categories)},\n"images": [')
+
+    def add(self, found: DetectedImage) -> None:
+        self._file.write(_separated(self._images, self._image(found)))
+        self._images += 1
+        for row in range(len(found.detections)):
+            self._annotations.write(_separated(self._objects, self._annotation(found, row)))
+            self._objects += 1
+
+    def finish(self) -> None:
+        self._file.write('],\n"annotations": [')
+        self._annotations.seek(0)
+        shutil.copyfileobj(self._annotations, self._file)
+        self._file.write("]}\n")
+        self.close()
+
+    def close(self) -> None:
+        self._annotations.close()
+        self._waiting.unlink(missing_ok=True)
+        self._file.close()
+
+    def _image(self, found: DetectedImage) -> dict[str, object]:
+        height, width = found.image.size_hw
+        identity = dict(found.named.identity)
+        file = identity.pop("file", None)
+        name = found.named.stem if file is None else Path(str(file)).name
+        return {"id": self._images + 1, "file_name": name, "width": width, "height": height, **identity}
+
+    def _annotation(self, found: DetectedImage, row: int) -> dict[str, object]:
+        x1, y1, x2, y2 = found.detections.boxes_xyxy[row].tolist()
+        annotation: dict[str, object] = {
+            "id": self._objects + 1,
+            "image_id": self._images,
+            "category_id": int(found.detections.class_ids[row]),
+            "bbox": [x1, y1, x2 - x1, y2 - y1],
+            "area": (x2 - x1) * (y2 - y1),
+            "iscrowd": 0,
+            "score": float(found.detections.scores[row]),
+        }
+        if self._masks and (mask := found.mask(row)) is not None:
+            annotation["segmentation"], annotation["area"] = mask
+        if found.detections.track_ids:
+            annotation["track_id"] = found.detections.track_ids[row]
+        return annotation
+
+
+def _separated(before: int, record: dict[str, object]) -> str:
+    """`record` for a list that already has `before` of them."""
+    return f"{',' if before else ''}\n{json.dumps(record)}"
+
+
+def _table_rows(found: DetectedImage, class_names: Sequence[str]) -> Iterator[tuple[object, ...]]:
+    """The rows of an image in the order of its identity and COLUMNS; `id` is None without a track."""
+    height, width = found.image.size_hw
+    identity = tuple(map(_utf8, found.named.identity.values()))
+    detections = found.detections
+    for one, class_id in zip(detections.objects(class_names), detections.class_ids.tolist(), strict=True):
+        yield (
+            *identity,
+            *(width, height, class_id, one.class_name, one.score, *one.box_xyxy),
+            one.track_id or None,
+        )
+
+
+class CsvTable(Sink):
+    """Writes the new CSV file `path` with the names of the columns in its first line."""
+
+    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+        del masks  # a table has none
+        self._class_names = class_names
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._has_header = False
+
+    def add(self, found: DetectedImage) -> None:
+        if not self._has_header:
+            self._writer.writerow((*found.named.identity, *COLUMNS))
+            self._has_header = True
+        self._writer.writerows(_table_rows(found, self._class_names))
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class ParquetTable(Sink):
+    """Writes the new Parquet file `path`; needs pyarrow."""
+
+    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+        del masks  # a table has none
+        self._class_names = class_names
+        self._file = path.open("wb")
+        self._schema: Any = None
+        self._writer: Any = None
+        self._rows: list[tuple[object, ...]] = []
+
+    def add(self, found: DetectedImage) -> None:
+        if self._writer is None:
+            self._begin(found)
+        self._rows.extend(_table_rows(found, self._class_names))
+        if len(self._rows) >= _GROUP_ROWS:
+            self._write_rows()
+
+    def finish(self) -> None:
+        if self._writer is not None:
+            self._write_rows()
+        self.close()
+
+    def close(self) -> None:
+        writer, self._writer = self._writer, None
+        try:
+            if writer is not None:
+                writer.close()
+        finally:
+            self._file.close()
+
+    def _begin(self, found: DetectedImage) -> None:
+        import pyarrow
+        from pyarrow import parquet
+
+        identity = found.named.identity
+        kinds = ("string" if isinstance(value, str) else "int64" for value in identity.values())
+        types = {**dict(zip(identity, kinds, strict=True)), **COLUMNS}
+        self._schema = pyarrow.schema([(column, getattr(pyarrow, kind)()) for column, kind in types.items()])
+        self._writer = parquet.ParquetWriter(self._file, self._schema)
+
+    def _write_rows(self) -> None:
+        import pyarrow
+
+        rows = [dict(zip(self._schema.names, row, strict=True)) for row in self._rows]
+        self._writer.write_table(pyarrow.Table.from_pylist(rows, self._schema))
+        self._rows.clear()
+
+
+def _utf8(value: str | int) -> str | int:
+    """`value` for formats that are UTF-8 throughout: other bytes of a file name become escapes."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
+class YoloFolder(Sink):
+    """Writes the new folder `path`: `labels/<stem>.txt` for each image, and `data.yaml` with the classes.
+
+    An image without detections has an empty file. The data set is complete once its images are in `images`.
+    """
+
+    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+        del masks  # only boxes
+        self._labels = path / "labels"
+        self._labels.mkdir(parents=True)
+        description = {"train": "images", "val": "images", "names": dict(enumerate(class_names))}
+        text = yaml.safe_dump(description, allow_unicode=True, sort_keys=False)
+        (path / "data.yaml").write_text(text, encoding="utf-8")
+
+    def add(self, found: DetectedImage) -> None:
+        lines = "".join(
+            f"{class_id} {x:.6f} {y:.6f} {width:.6f} {height:.6f}\n"
+            for class_id, (x, y, width, height) in zip(
+                found.detections.class_ids.tolist(), _relative_boxes(found), strict=True
+            )
+        )
+        with (self._labels / f"{found.named.stem}.txt").open("x", encoding="ascii") as file:
+            file.write(lines)
+
+
+def _check_stems(images: Sequence[NamedImage]) -> None:
+    """Raise OutputError if two of `images` would share one file of labels."""
+    stem, count = Counter(image.stem for image in images).most_common(1)[0]
+    if count > 1:
+        raise OutputError(
+            f"{in_one_line(stem)}: {count} images have this name, but YOLO text has one file for each: "
+            "rename them, or choose another format."
+        )
+
+
+def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, float]]:
+    """Centre, width and height of each box inside the image, as shares of the image."""
+    height, width = found.image.size_hw
+    return [
+        ((x1 + x2) / 2 / width, (y1 + y2) / 2 / height, (x2 - x1) / width, (y2 - y1) / height)
+        for x1, y1, x2, y2 in found.inside_xyxy.tolist()
+    ]
 
 
 @dataclass(frozen=True)
@@ -31,7 +269,8 @@ class Format:
     """A format of exported detections."""
 
     description: str
-    new_sink: NewSink
+    new_sink: Callable[..., Sink]
+    """Opens the output at a path, for detections of the classes, with `masks` if it can hold them."""
     has_masks: bool
     has_ids: bool = True
     check_images: Callable[[Sequence[NamedImage]], None] | None = None
@@ -47,7 +286,7 @@ FORMATS: Mapping[str, Format] = MappingProxyType(
         ".csv": Format("CSV", CsvTable, has_masks=False),
         ".parquet": Format("Parquet", ParquetTable, has_masks=False, package="pyarrow"),
         ".yolo": Format(
-            "a folder of YOLO text", YoloFolder, has_masks=False, has_ids=False, check_images=check_stems
+            "a folder of YOLO text", YoloFolder, has_masks=False, has_ids=False, check_images=_check_stems
         ),
     }
 )
@@ -58,11 +297,6 @@ def format_suffix(output: Path) -> str:
     """The key in FORMATS that the name of `output` ends in, whatever its case; "" if it ends in none."""
     suffix = output.suffix.lower()
     return suffix if suffix in FORMATS else ""
-
-
-def may_have_masks(suffix: str) -> bool:
-    """Whether the format `suffix` can hold masks; "" stands for a recording, which can."""
-    return not suffix or FORMATS[suffix].has_masks
 
 
 def check_format(suffix: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import ray
 
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
-from yolov5_lifecycle.offline.many_recordings.workers import DiedError, Work, Worker
+from yolov5_lifecycle.offline.many_recordings.workers import Work, Worker
 from yolov5_lifecycle.printable import in_one_line
 
 _ANSWER_S = 10.0
@@ -63,4 +63,4 @@ class RayWorker(Worker):
             return ray.get(getattr(self._actor, method).remote(argument))
         except ray.exceptions.RayError as error:
             told = in_one_line(str(error).strip().partition("\n")[0]) or type(error).__name__
-            raise DiedError(f"the worker died ({told})") from None
+            raise ChildProcessError(f"the worker died ({told})") from None

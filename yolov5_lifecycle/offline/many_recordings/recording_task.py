@@ -5,16 +5,16 @@ from __future__ import annotations
 import errno
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.offline.detect_files import write_files
 from yolov5_lifecycle.offline.detecting import OfflineDetector, RunStatistics, prepared_for
-from yolov5_lifecycle.offline.export.exporting import Export
-from yolov5_lifecycle.offline.export.formats import JSON_LINES, may_have_masks
-from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.export.exporting import write_files
+from yolov5_lifecycle.offline.export.formats import JSON_LINES
 from yolov5_lifecycle.offline.many_recordings.results import (
+    Plan,
     Record,
     RecordingResult,
     Refused,
@@ -32,8 +32,6 @@ from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _DETECTIONS = "detections"
 """Name of the file or folder in a result that is not a recording, without its suffix."""
-CROPS = "crops"
-"""Name of the folder in a result for an image of each detection."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 OnImage = Callable[[int], object]
@@ -55,7 +53,7 @@ class RecordingTask:
         self._detector(_Listener(on_image))  # refuses classes that the model does not have
 
     def run(self, source: SourceRecording) -> RecordingResult | Refused:
-        """Write the result of `source`, unless it exists; return its row, with the reason if set aside.
+        """Write the result of `source`, unless it exists; return its row, with the reason if that failed.
 
         Where every other recording would fail, too, refuses for lack of room, or raises DeviceLostError.
         """
@@ -71,7 +69,7 @@ class RecordingTask:
             return RecordingResult(
                 recording=source.name,
                 path=str(source.path),
-                state="set aside",
+                state="failed",
                 reason=in_lines(str(error) or type(error).__name__),
                 first_problem=listener.first_problem,
                 seconds=time.monotonic() - begun_s,
@@ -97,28 +95,27 @@ class RecordingTask:
         return result
 
     def _detect(self, source: Path, unfinished: Path, listener: _Listener) -> RunStatistics:
-        options, load = self._plan.options, lambda: self._detector(listener)
-        suffix = options.suffix or (JSON_LINES if is_video(source) else "")
-        path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
-        export = Export(path, suffix, options.masks, unfinished / CROPS if options.crops else None)
+        export = self._plan.export
+        suffix = export.suffix or (JSON_LINES if is_video(source) else "")
         if suffix:
             unfinished.mkdir()
+        path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
+        crops = unfinished / export.crops if export.crops else None
+        export = replace(export, path=path, suffix=suffix, crops=crops)
         if is_video(source):
-            return write_files(source, export, annotated=None, load=load)
+            return write_files(source, export, lambda: self._detector(listener))
         # Imported here: videos do not need rosbags.
-        from yolov5_lifecycle.offline.detect_recording import RecordingOptions, write_detections
-        from yolov5_lifecycle.offline.recording import open_recording
+        from yolov5_lifecycle.offline.detect_recording import write_recording
 
-        with open_recording(source) as recording:
-            of_recording = RecordingOptions(options.topic, options.node, options.images)
-            return write_detections(recording, export, of_recording, load)
+        return write_recording(source, export, lambda: self._detector(listener))
 
     def _detector(self, listener: _Listener) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
-        options = self._plan.options
-        with_masks = (options.masks and may_have_masks(options.suffix)) or options.images
         return OfflineDetector(
-            self._plan.settings, listener, with_masks=with_masks, prepare=lambda *_: self._prepared
+            self._plan.settings,
+            listener,
+            with_masks=self._plan.export.needs_masks,
+            prepare=lambda *_: self._prepared,
         )
 
     def _row(

@@ -1,32 +1,78 @@
-"""The result of each of many recordings: its row of the summary, and the record that says it is finished."""
+"""The plan for many recordings, the result of each, and the record that says it is finished."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import stat
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from yolov5_lifecycle.atomic_file import OutputError, atomic_write
+from yolov5_lifecycle.checkpoints.locate import weights_digest
+from yolov5_lifecycle.detection.prepared_model import weights_path
 from yolov5_lifecycle.folder_listing import FolderTree
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
-from yolov5_lifecycle.offline.many_recordings.plan import Plan
+from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
+from yolov5_lifecycle.quantization.calibration_file import calibration_digest
+from yolov5_lifecycle.settings.settings import Settings, validated
 
 RECORD_NAME = "detect_bag.json"
-_MAX_RECORD_BYTES = 16 << 20
 _BLOCK_BYTES = 1 << 20
+_PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
+"""Settings that say where the model is, not which one it is."""
 
-State = Literal["done", "skipped", "set aside"]
+State = Literal["done", "skipped", "failed"]
 COUNTED = ("images", "detected", "rejected", "failed", "missing", "late", "jumps")
 """Columns of a row that are summed up for all recordings."""
 FileStamp = tuple[str, int, int]
 """Name, size in bytes and time of the last change in nanoseconds."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The model and the settings for all recordings, and the folder of their results."""
+
+    output: Path
+    export: Export
+    """Of each recording, to paths that are relative to its result; "" as suffix: JSON lines of a video."""
+    settings: Settings
+    """They select the weights by absolute path and digest."""
+    settings_sha256: str
+    """Digest of everything but model and recording that the results depend on."""
+    is_open: bool
+    """Whether the runtime depends on what is measured."""
+
+    def chosen(self, runtime: str, precision: str) -> Plan:
+        """The plan with what the first worker has chosen."""
+        return replace(
+            self, settings=_changed(self.settings, runtime=runtime, precision=precision), is_open=False
+        )
+
+
+def plan_of(settings: Settings, output: Path, export: Export) -> Plan:
+    """The plan for the model that `settings` select, as its file is now; raises WeightsError and OSError."""
+    weights = Path(os.path.abspath(weights_path(settings)))  # noqa: PTH100
+    digest = weights_digest(weights, sha256=settings.weights_sha256)
+    calibration = calibration_digest(weights) if settings.precision == "int8" else None
+    values = settings.model_dump(mode="json", exclude=_PLACE_OF_WEIGHTS)
+    text = json.dumps([values, asdict(export), calibration], sort_keys=True, default=str)
+    return Plan(
+        output=output,
+        export=export,
+        settings=_changed(settings, weights=str(weights), weights_sha256=digest),
+        settings_sha256=hashlib.sha256(text.encode()).hexdigest(),
+        is_open=settings.runtime == "auto",
+    )
+
+
+def _changed(settings: Settings, **values: str) -> Settings:
+    return validated({**settings.model_dump(mode="json"), **values})
 
 
 class RecordingResult(BaseModel):
@@ -40,7 +86,7 @@ class RecordingResult(BaseModel):
     state: State
     """Skipped: it already had a result; the rest of the row is from the run that wrote it."""
     reason: str = ""
-    """Why it was set aside."""
+    """Why the recording failed."""
     images: NonNegativeInt = 0
     detected: NonNegativeInt = 0
     rejected: NonNegativeInt = 0
@@ -56,7 +102,7 @@ class RecordingResult(BaseModel):
     seconds: float = 0.0
     runtime: str = ""
     detections: dict[str, NonNegativeInt] = {}
-    """By class, for every class of the model; empty if the recording was set aside."""
+    """By class, for every class of the model; empty if the recording failed."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +132,14 @@ class Record(BaseModel):
         return same and self.result_bytes.items() <= result_bytes(folder).items()
 
     def write(self, folder: Path) -> None:
-        """Write the record into the `folder` of its result; raises OSError."""
         atomic_write(folder / RECORD_NAME, self.model_dump_json(indent=1).encode() + b"\n", is_durable=False)
 
 
 def read_record(folder: Path) -> Record | None:
     """The record of the result in `folder`; None if there is none that is valid and of that name."""
     try:
-        record = Record.model_validate_json(read_regular_file(folder / RECORD_NAME, _MAX_RECORD_BYTES))
-    except (OSError, RegularFileError, ValidationError):
+        record = Record.model_validate_json((folder / RECORD_NAME).read_bytes())
+    except (OSError, ValidationError):
         return None
     return record if record.result.recording == folder.name else None
 

@@ -14,11 +14,14 @@ from typing import Any
 
 from yolov5_lifecycle.atomic_file import OutputError, has_unfinished_outputs, remove_unfinished_outputs
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.plan import Plan
-from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused, finished_before
-from yolov5_lifecycle.offline.many_recordings.summary import check_summary, write_summary
-from yolov5_lifecycle.offline.many_recordings.tally import RecordingsTerminal, Tally
-from yolov5_lifecycle.offline.many_recordings.workers import DiedError, Worker
+from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused, finished_before
+from yolov5_lifecycle.offline.many_recordings.summary import (
+    BatchProgress,
+    BatchTerminal,
+    check_summary,
+    write_summary,
+)
+from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import is_utf8
@@ -36,25 +39,24 @@ def detect_recordings(
     plan: Plan,
     *,
     new_workers: Callable[[int], Sequence[Worker]],
-    terminal: RecordingsTerminal,
-) -> Tally:
+    terminal: BatchTerminal,
+) -> BatchProgress:
     """Write a result for each of `sources`, and a summary, to the folder `plan.output`.
 
     `new_workers` is called with the number of recordings that have no result yet, unless that is 0. Raises
     OutputError, OSError, and DetectingError if the model cannot be loaded or nothing more can be written.
     """
-    tally = Tally(len(sources))
+    batch = BatchProgress(len(sources))
     with _output_folder(plan.output):
         for source in sources:
             if (finished := finished_before(source, plan)) is not None:
-                tally.add(finished)
+                batch.add(finished)
         check_summary(plan.output)
-        if waiting := [source for source in sources if source.name not in tally.results]:
-            _Run(plan, new_workers(len(waiting)), tally, terminal).run(waiting)
-        results = [tally.results[source.name] for source in sources]
-        for problem in write_summary(plan, results):
+        if waiting := [source for source in sources if source.name not in batch.results]:
+            _Run(plan, new_workers(len(waiting)), batch, terminal).run(waiting)
+        for problem in write_summary(plan, batch, [source.name for source in sources]):
             terminal.remark(problem)
-    return tally
+    return batch
 
 
 @contextmanager
@@ -100,12 +102,12 @@ class _Run:
     """Hands out recordings to workers, each of which a thread waits for."""
 
     def __init__(
-        self, plan: Plan, workers: Sequence[Worker], tally: Tally, terminal: RecordingsTerminal
+        self, plan: Plan, workers: Sequence[Worker], batch: BatchProgress, terminal: BatchTerminal
     ) -> None:
         self._plan = plan
         self._workers = workers
         self._count = len(workers)
-        self._tally = tally
+        self._batch = batch
         self._terminal = terminal
         self._free = SimpleQueue[Worker]()
         self._lock = Lock()
@@ -123,8 +125,9 @@ class _Run:
             while running:
                 ended, running = wait(running, _PROGRESS_S, FIRST_COMPLETED)
                 for future in ended:
-                    self._end(future.result())
-                self._terminal.progress(self._tally)
+                    if (result := future.result()) is not None:  # not that a worker has started
+                        self._end(result)
+                self._terminal.progress(self._batch)
         finally:
             executor.shutdown(wait=False, cancel_futures=True)
             self._stop()
@@ -132,12 +135,10 @@ class _Run:
             for worker in self._workers:
                 worker.close()
 
-    def _end(self, result: RecordingResult | None) -> None:
-        if result is None:  # a worker has started
-            return
-        self._tally.add(result)
-        if result.state == "set aside":
-            self._terminal.remark(f"{result.recording}: set aside: {result.reason}")
+    def _end(self, result: RecordingResult) -> None:
+        self._batch.add(result)
+        if result.state == "failed":
+            self._terminal.remark(f"{result.recording}: failed: {result.reason}")
         elif result.missing:
             claimed = result.images + result.missing
             self._terminal.remark(f"{result.recording}: {missing_images(claimed, result.images)}")
@@ -147,12 +148,12 @@ class _Run:
         answer = self._load(worker)
         if not isinstance(answer, Refused):
             self._plan = answer
-            self._tally.begin()
+            self._batch.begin()
             self._free.put(worker)
             return
         with self._lock:
             self._count -= 1
-        if not self._tally.has_begun or not self._count:
+        if not self._batch.has_begun or not self._count:
             raise DetectingError(answer.reason)
         worker.stop()
         self._terminal.remark(
@@ -162,7 +163,7 @@ class _Run:
     def _load(self, worker: Worker, deaths: int = 1) -> Plan | Refused:
         try:
             return worker.load(self._plan)
-        except DiedError as error:
+        except ChildProcessError as error:
             if deaths == MAX_DEATHS:
                 raise DetectingError(f"{error} while loading the model, {deaths} times in a row") from None
             self._restart(worker)
@@ -171,10 +172,10 @@ class _Run:
     def _detect(self, source: SourceRecording, deaths: int = 1) -> RecordingResult:
         worker = self._free.get()
         if self._is_stopping:
-            raise DiedError("the worker was stopped")
+            raise ChildProcessError("the worker was stopped")
         try:
-            answer = worker.detect(source, lambda images: self._tally.progress(source.name, images))
-        except DiedError as error:
+            answer = worker.detect(source, lambda images: self._batch.progress(source.name, images))
+        except ChildProcessError as error:
             self._restart(worker)
             if deaths < MAX_DEATHS:
                 self._terminal.remark(f"{source.name}: {error}; another worker retries it")
@@ -183,7 +184,7 @@ class _Run:
                 return self._detect(source, deaths + 1)
             reason = f"{error} {deaths} times while reading this recording"
             return RecordingResult(
-                recording=source.name, path=str(source.path), state="set aside", reason=reason
+                recording=source.name, path=str(source.path), state="failed", reason=reason
             )
         self._free.put(worker)
         if isinstance(answer, Refused):
@@ -193,7 +194,7 @@ class _Run:
     def _restart(self, worker: Worker) -> None:
         with self._lock:
             if self._is_stopping:
-                raise DiedError("the worker was stopped")
+                raise ChildProcessError("the worker was stopped")
             worker.restart()
 
     def _stop(self) -> None:

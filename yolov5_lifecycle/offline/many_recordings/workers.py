@@ -18,9 +18,8 @@ from yolov5_lifecycle.process.memory import available_bytes
 from yolov5_lifecycle.process.standard_streams import complain
 
 if TYPE_CHECKING:
-    from yolov5_lifecycle.offline.many_recordings.plan import Plan
     from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage, RecordingTask
-    from yolov5_lifecycle.offline.many_recordings.results import RecordingResult, Refused
+    from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused
     from yolov5_lifecycle.offline.recordings import SourceRecording
 
 # The path of this process; `-m` would search the current folder first, which may be one of recordings.
@@ -31,20 +30,16 @@ _WORKER_BYTES = 1 << 30
 _END_S = 10.0
 
 
-class DiedError(RuntimeError):
-    """The worker has ended unexpectedly."""
-
-
 class Worker(ABC):
     """Somewhere else, where it does what `Work` says; begins without a model."""
 
     def load(self, plan: Plan) -> Plan | Refused:
-        """Load the model; returns the plan with what was chosen. Raises DiedError."""
+        """Load the model; returns the plan with what was chosen. Raises ChildProcessError if it dies."""
         answer: Plan | Refused = self._answer("load", plan)
         return answer
 
     def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
-        """Write the result of a recording; raises DiedError."""
+        """Write the result of a recording; raises ChildProcessError."""
         answer: RecordingResult | Refused = self._answer("detect", source, on_image)
         return answer
 
@@ -54,7 +49,7 @@ class Worker(ABC):
 
     @abstractmethod
     def stop(self) -> None:
-        """Make it end, and another thread that waits for its answer raise DiedError."""
+        """Make it end, and another thread that waits for its answer raise ChildProcessError."""
 
     @abstractmethod
     def close(self) -> None:
@@ -169,5 +164,5 @@ class ProcessWorker(Worker):
             self.close()
             code = self.process.returncode
             end = f"died (signal {-code})" if code < 0 else f"exited (code {code})"
-            raise DiedError(f"the worker {end}") from None
+            raise ChildProcessError(f"the worker {end}") from None
         return answer

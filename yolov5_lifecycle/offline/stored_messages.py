@@ -1,6 +1,7 @@
-"""Messages in an MCAP file, in the order of the file, with or without indexes: https://mcap.dev/spec.
+"""Topics and messages in the files of rosbag2 recordings, MCAP and SQLite, in the order of the file.
 
-Read as a stream, because libraries unpack a whole chunk: 33 kB may become a gigabyte.
+MCAP, with or without indexes (https://mcap.dev/spec), is read as a stream, because libraries unpack a whole
+chunk: 33 kB may become a gigabyte.
 """
 
 from __future__ import annotations
@@ -8,19 +9,24 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from struct import Struct
 from typing import Any, BinaryIO
 from zlib import crc32
 
+import apsw  # unlike sqlite3, limits the size of values in Python 3.10, too
 import lz4.frame  # type: ignore[import-untyped]
 from backports import zstd
 
-from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, DamageError, StorageError, StoredTopic
 from yolov5_lifecycle.printable import in_one_line
 
-MAX_CHANNELS = 10_000
+CDR = "cdr"
+"""The encoding of ROS 2."""
+MAX_MESSAGE_BYTES = 256 << 20
+"""Of a message that is read: an RGB image of 89 megapixels."""
+MAX_TOPICS = 10_000
 MAX_NAME_BYTES = 4096
 MESSAGES_OF_ANY_FILE = 100_000
 BYTES_PER_MESSAGE = 4
@@ -39,30 +45,49 @@ _MESSAGE_START = Struct("<HIQQ")  # channel, number, time of recording, time of 
 _CHUNK_START = Struct("<QQQI")  # first and last time, unpacked bytes, their CRC-32 or 0
 _STATISTICS_START = Struct("<QHIIIIQQ")  # messages, schemas, channels, then others that are not used
 _COUNT = Struct("<HQ")  # channel, messages
+_FUNCTIONS = {"count", "length"}
+_TOPICS = f"SELECT id, name, type, serialization_format FROM topics LIMIT {MAX_TOPICS + 1}"
+_COUNTS = f"""
+    SELECT topic_id, count(*) FROM messages
+    WHERE topic_id IN (SELECT id FROM topics LIMIT {MAX_TOPICS}) GROUP BY topic_id"""
+_MESSAGES = """
+    SELECT timestamp, length(data), CASE WHEN length(data) <= ? THEN data END FROM messages
+    WHERE topic_id IN (SELECT id FROM topics WHERE name = ? AND type = ?) ORDER BY rowid"""
+
+
+class StorageError(ValueError):
+    """A file of a recording that is not read; the message says what it has, and what to do.
+
+    Other errors, such as ValueError, stand for a file that is damaged and may be repaired.
+    """
+
+
+@dataclass(frozen=True)
+class StoredTopic:
+    """A topic in one file; several may have one name."""
+
+    name: str
+    type_name: str
+    encoding: str
+    count: int = 0
+    """Messages on it."""
 
 
 class McapFile:
-    """An open file; owns it until `close`. Raises StorageError and OSError, also while messages are read."""
+    """An open file, until `stack` closes it. Raises StorageError and OSError, also later."""
 
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
-        try:
-            self._size = path.stat().st_size
-            self._data_start, self._data_end = self._bounds()
-            self._channels: dict[int, StoredTopic] = {}
-            self._schemas: dict[int, str] = {}
-            self._counts = self._summary_counts() or self._counted()
-        except BaseException:
-            self.close()
-            raise
-
-    def close(self) -> None:
-        self._file.close()
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        self._file = stack.enter_context(path.open("rb"))
+        self._size = path.stat().st_size
+        self._data_start, self._data_end = self._bounds()
+        self._channels: dict[int, StoredTopic] = {}
+        self._schemas: dict[int, str] = {}
+        self._counts = self._summary_counts() or self._counted()
 
     @property
     def topics(self) -> list[StoredTopic]:
         """A topic for each channel, with as many messages as the statistics claim, or are counted."""
-        return [topic.with_count(self._counts[number]) for number, topic in self._channels.items()]
+        return [replace(topic, count=self._counts[number]) for number, topic in self._channels.items()]
 
     def messages(self, name: str, type_name: str) -> Iterator[tuple[int, bytes | None]]:
         """Time of recording in nanoseconds and content, None if larger than MAX_MESSAGE_BYTES."""
@@ -78,7 +103,7 @@ class McapFile:
         opcode, size = _RECORD.unpack(self._file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
         start = self._file.tell()
         if opcode != _HEADER or size > self._size - start:
-            raise DamageError("expected the header of an MCAP file")
+            raise ValueError("expected the header of an MCAP file")
         if _text(_Contents(self._file, size)) == "ros1":
             raise StorageError(
                 "its messages are those of ROS 1, which are not read. Convert the .bag that it was made "
@@ -87,7 +112,7 @@ class McapFile:
         end = self._size - _FOOTER_BYTES
         self._file.seek(max(end, 0))
         if end < start + size or not self._file.read().endswith(_MAGIC):
-            raise DamageError("its end is missing")
+            raise ValueError("its end is missing")
         return start + size, end
 
     def _summary_counts(self) -> Counter[int] | None:
@@ -144,7 +169,7 @@ class McapFile:
             with _unpacked(data) as chunk:
                 for inner, inner_size in chunk.records():
                     if inner == _CHUNK:
-                        raise DamageError("a chunk within a chunk")
+                        raise ValueError("a chunk within a chunk")
                     yield inner, chunk, inner_size
 
     def _describe(self, opcode: int, contents: _Contents) -> None:
@@ -156,12 +181,12 @@ class McapFile:
             number, schema = contents.fields(_CHANNEL_START)
             name, encoding = _text(contents), _text(contents)
             self._channels.setdefault(number, StoredTopic(name, self._schemas.get(schema, ""), encoding))
-        if max(len(self._schemas), len(self._channels)) > MAX_CHANNELS:
-            raise StorageError(f"more than {MAX_CHANNELS} channels")
+        if max(len(self._schemas), len(self._channels)) > MAX_TOPICS:
+            raise StorageError(f"more than {MAX_TOPICS} channels")
 
 
 class _Contents:
-    """The next `left` bytes of `file`, taken one after the other; raises DamageError if it has less."""
+    """The next `left` bytes of `file`, taken one after the other; raises ValueError if it has less."""
 
     def __init__(self, file: BinaryIO, size: int, crc: int = 0) -> None:
         self._file = file
@@ -172,18 +197,18 @@ class _Contents:
     def take(self, size: int) -> bytes:
         data = self._file.read(size) if size <= self.left else b""
         if len(data) != size:
-            raise DamageError(f"a record ends after {len(data)} of {size} bytes")
+            raise ValueError(f"a record ends after {len(data)} of {size} bytes")
         self.left -= size
         if self._expected_crc:
             self._crc = crc32(data, self._crc)
         return data
 
     def check(self) -> None:
-        """Raise DamageError unless nothing is left in the file, and the checksum is right."""
+        """Raise ValueError unless nothing is left in the file, and the checksum is right."""
         if self._file.read(1):
-            raise DamageError("a chunk unpacks to more bytes than it claims")
+            raise ValueError("a chunk unpacks to more bytes than it claims")
         if self._crc != self._expected_crc:
-            raise DamageError("a chunk is damaged: its checksum is wrong")
+            raise ValueError("a chunk is damaged: its checksum is wrong")
 
     def _skip_to(self, end: int) -> None:
         if self._file.seekable() and not self._expected_crc:
@@ -201,10 +226,10 @@ class _Contents:
             opcode, size = self.fields(_RECORD)
             end = self.left - size
             if end < 0:
-                raise DamageError(f"a record of {size} bytes where {self.left} are left")
+                raise ValueError(f"a record of {size} bytes where {self.left} are left")
             yield opcode, size
             if self.left < end:
-                raise DamageError("a record is shorter than its fields")
+                raise ValueError("a record is shorter than its fields")
             self._skip_to(end)
 
 
@@ -257,6 +282,55 @@ def _statistics(contents: _Contents) -> tuple[int, int, int, Counter[int]]:
     """Claimed number of messages, of schemas, of channels, and of the messages of each channel."""
     messages, schemas, channels, *_ = contents.fields(_STATISTICS_START)
     (size,) = contents.fields(_U32)
-    if size > _COUNT.size * MAX_CHANNELS:
-        raise StorageError(f"statistics of more than {MAX_CHANNELS} channels")
+    if size > _COUNT.size * MAX_TOPICS:
+        raise StorageError(f"statistics of more than {MAX_TOPICS} channels")
     return messages, schemas, channels, Counter(dict(_COUNT.iter_unpack(contents.take(size))))
+
+
+class SqliteFile:
+    """An open file, until `stack` closes it. Raises StorageError and APSW's errors, also later."""
+
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
+        # As a URI, in which the characters # ? % of a path mean themselves: https://sqlite.org/uri.html
+        self._database = apsw.Connection(f"{path.absolute().as_uri()}?immutable=1", flags=flags)
+        stack.callback(self._database.close)
+        _restrict(self._database)
+        counts = dict(self._database.execute(_COUNTS))
+        rows = self._database.execute(_TOPICS).fetchall()
+        if len(rows) > MAX_TOPICS:
+            raise StorageError(f"more than {MAX_TOPICS} topics")
+        self.topics = [
+            StoredTopic(name, type_name, str(encoding), counts.get(number, 0))
+            for number, name, type_name, encoding in rows
+            if isinstance(name, str) and isinstance(type_name, str)
+        ]
+
+    def messages(self, name: str, type_name: str) -> Iterator[tuple[int, bytes | None]]:
+        """Time of recording in nanoseconds and content, None if larger than MAX_MESSAGE_BYTES."""
+        rows = self._database.execute(_MESSAGES, (MAX_MESSAGE_BYTES, name, type_name))
+        for timestamp_ns, size, data in rows:
+            is_large = data is None and isinstance(size, int) and size > MAX_MESSAGE_BYTES
+            if not isinstance(timestamp_ns, int) or not (is_large or isinstance(data, bytes)):
+                raise StorageError("expected a time and bytes for each message")
+            yield timestamp_ns, data
+
+
+def _restrict(database: Any) -> None:
+    """Only tables, and only what the queries need of SQL: views could run forever or return any size."""
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+    columns = "SELECT 1 FROM sqlite_master, pragma_table_xinfo(sqlite_master.name) WHERE hidden > 1"
+    unusual = "SELECT 1 FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
+    for query in (unusual, columns):
+        if database.execute(query).fetchone():
+            raise StorageError(
+                "the database has views, triggers or computed columns; a recording has only tables"
+            )
+    database.authorizer = _authorized
+
+
+def _authorized(action: int, _: str | None, name: str | None, __: str | None, view: str | None) -> int:
+    is_foreign_function = action == apsw.SQLITE_FUNCTION and (name or "").lower() not in _FUNCTIONS
+    if view is not None or is_foreign_function or action == apsw.SQLITE_RECURSIVE:
+        return int(apsw.SQLITE_DENY)
+    return int(apsw.SQLITE_OK)

@@ -1,0 +1,207 @@
+"""`detect_bag` over many recordings: the results of single runs, each once, even if processes are killed."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pyarrow import parquet
+from support.detected_offline import SET_MODEL, run
+from support.many_recordings import (
+    LONG,
+    broken,
+    found_objects,
+    messages,
+    plan_for,
+    record_drives,
+    rows,
+    states,
+)
+from support.recorded_scene import COUNT, video
+from support.started import started
+
+from yolov5_lifecycle.atomic_file import has_unfinished_outputs
+from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
+from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
+from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, RecordingResult, Refused
+from yolov5_lifecycle.offline.many_recordings.summary import BatchTerminal
+from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
+from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Work, Worker
+from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
+from yolov5_lifecycle.ros.child_process import entry_point
+from yolov5_lifecycle.sources.scene import CLASS_NAMES
+
+LENGTHS = {"east": COUNT, "north": 4}
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two recordings, a broken one, a video and something else."""
+    folder = record_drives(tmp_path_factory.mktemp("recorded") / "drives", LENGTHS)
+    broken(folder, "south")
+    video(folder / "film.avi")
+    (folder / "notes.txt").write_text("nothing")
+    return folder
+
+
+class LocalWorker(Worker):
+    """A worker in this process."""
+
+    def __init__(self) -> None:
+        self._work = Work()
+
+    def restart(self) -> None:
+        """It does not die."""
+
+    def stop(self) -> None:
+        """It is at an end when its method is."""
+
+    def close(self) -> None:
+        """It has nothing open."""
+
+    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+        return getattr(self._work, method)(argument)
+
+
+@pytest.fixture(scope="module")
+def found(drives: Path) -> Path:
+    """The results of a worker."""
+    output = drives.parent / "found"
+    sources, plan = recordings_of([drives], output), plan_for(output, tracker="bytetrack")
+    batch = detect_recordings(sources, plan, new_workers=lambda _: [LocalWorker()], terminal=BatchTerminal())
+    assert not batch.is_complete
+    return output
+
+
+def test_each_result_is_that_of_a_single_run(drives: Path, found: Path, tmp_path: Path) -> None:
+    for name in LENGTHS:
+        assert run([str(drives / name), "--output", str(tmp_path / name), "--track", *SET_MODEL]) == 0
+        assert messages(found / name) == messages(tmp_path / name)
+        files = {path.name for path in (tmp_path / name).iterdir()}
+        assert {path.name for path in (found / name).iterdir()} == files | {RECORD_NAME}
+    lines = tmp_path / "film.jsonl"
+    assert run([str(drives / "film.avi"), "--output", str(lines), "--track", *SET_MODEL]) == 0
+    assert (found / "film" / "detections.jsonl").read_text() == lines.read_text()
+    results = {*LENGTHS, "film", "summary.json", "summary.parquet"}
+    assert {path.name for path in found.iterdir()} == results
+
+
+def test_the_summary_counts_what_the_results_hold(found: Path) -> None:
+    summary = json.loads((found / "summary.json").read_text())
+    assert (summary["recordings"], summary["states"]) == (4, {"done": 3, "skipped": 0, "failed": 1})
+    assert summary["images"] == summary["detected"] == sum(LENGTHS.values()) + COUNT
+    for name, count in LENGTHS.items():
+        row = rows(found)[name]
+        assert (row["images"], row["detected"], row["rejected"], row["failed"]) == (count, count, 0, 0)
+        assert row["detections"] == dict.fromkeys(CLASS_NAMES, 0) | found_objects(found / name)
+        assert row["runtime"] == "torch"
+    south = rows(found)["south"]
+    assert south["state"] == "failed"
+    assert "the recording cannot be read" in south["reason"]
+
+
+def test_the_table_has_the_rows_of_the_summary(found: Path) -> None:
+    table = {row["recording"]: row for row in parquet.read_table(found / "summary.parquet").to_pylist()}
+    for name, row in rows(found).items():
+        detections = row.pop("detections")
+        for class_name in CLASS_NAMES:
+            assert table[name].pop(f"detections/{class_name}") == detections.get(class_name)
+        assert table[name] == {**row, "detections": sum(detections.values()) if detections else None}
+
+
+def test_a_second_run_does_only_what_is_missing(
+    drives: Path, found: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def inodes() -> list[int]:
+        return [path.stat().st_ino for path in sorted(found.iterdir()) if path.is_dir()]
+
+    before, names = inodes(), [*LENGTHS, "film.avi"]
+    words = [str(drives / name) for name in names]
+    assert main([*words, "--output", str(found), "--track", *SET_MODEL]) == 0
+    assert capsys.readouterr().err.startswith("recordings  3: 0 done, 3 skipped, 0 failed\n")
+    assert inodes() == before
+    assert set(states(found).values()) == {"skipped"}
+
+
+def test_a_worker_says_why_it_cannot_load_the_model(tmp_path: Path) -> None:
+    refused = Work().load(plan_for(tmp_path, classes=["circel"]))
+    assert isinstance(refused, Refused)
+    assert "Did you mean 'circle'?" in refused.reason
+
+
+class HuntedWorker(ProcessWorker):
+    """One of two; it is killed when it has read the first image of the first recording."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.killed = ""
+
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+        def hunt(images: int) -> None:
+            on_image(images)
+            if not self.killed:
+                self.killed = source.name
+                self.process.kill()
+
+        return super().detect(source, hunt)
+
+
+@pytest.mark.long
+def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lengths = {"a": LONG, "b": LONG}
+    drives = record_drives(tmp_path / "drives", lengths)
+    output, hunted = tmp_path / "found", HuntedWorker()
+    sources, plan = recordings_of([drives], output), plan_for(output)
+    workers = [hunted, ProcessWorker(2)]
+    batch = detect_recordings(sources, plan, new_workers=lambda _: workers, terminal=BatchTerminal())
+    told = capsys.readouterr().err
+    assert f"detect_bag: {hunted.killed}: the worker died (signal 9); another worker retries it\n" in told
+    assert {name: row.images for name, row in batch.results.items() if row.state == "done"} == lengths
+    for name in lengths:
+        assert run([str(drives / name), "--output", str(tmp_path / name), *SET_MODEL]) == 0
+        assert messages(output / name) == messages(tmp_path / name)
+    assert not has_unfinished_outputs(output)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=lambda one: one.name)
+def test_a_signal_ends_the_worker_removes_what_is_unfinished_and_keeps_what_is_whole(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    drives = record_drives(tmp_path / "drives", {"a": COUNT, "b": 10 * LONG})
+    output = tmp_path / "found"
+    words = [entry_point("detect_bag"), str(drives), "--output", str(output), "--jobs", "1", *SET_MODEL]
+    with started(words, stderr=subprocess.PIPE, text=True) as process:
+        while not ((output / "a").exists() and has_unfinished_outputs(output)):
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(number)
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == (-number if number == signal.SIGKILL else 128 + number), told
+    while has_unfinished_outputs(output):  # until the time limit of the test
+        assert number == signal.SIGKILL, "only its workers can clean up after a command that was killed"
+        time.sleep(0.01)
+    assert [path.name for path in output.iterdir()] == ["a"]
+
+
+@pytest.mark.long
+def test_videos_need_no_rosbags_and_a_broken_one_fails_alone(drives: Path, tmp_path: Path) -> None:
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    program = (
+        "import sys; sys.modules['rosbags'] = None; "
+        "from yolov5_lifecycle.offline.detect_bag import main; sys.exit(main(sys.argv[1:]))"
+    )
+    words = [str(drives / "*.avi"), str(tmp_path / "*.mp4"), "--output", str(tmp_path / "found")]
+    command = [sys.executable, "-c", program, *words, "--jobs", "1", *SET_MODEL]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == EXIT_INCOMPLETE, ended.stderr
+    assert states(tmp_path / "found") == {"film": "done", "broken": "failed"}
+    assert "broken: failed: " in ended.stderr

@@ -1,0 +1,261 @@
+"""The result of each of many recordings: when it is made again, and what is never replaced."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin
+from support.detected_offline import SET_MODEL, prepare_once
+from support.many_recordings import found_objects, plan_for, record_drives, result_of, states
+from support.recorded_scene import raw, record, video
+
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.export.formats import FORMATS
+from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
+from yolov5_lifecycle.offline.many_recordings.results import (
+    RECORD_NAME,
+    Record,
+    RecordingResult,
+    Refused,
+    file_stamps,
+    finished_before,
+    read_record,
+)
+from yolov5_lifecycle.offline.recordings import SourceRecording
+from yolov5_lifecycle.quantization.calibration_file import path_beside
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = record_drives(tmp_path_factory.mktemp("recorded") / "drives", {"east": 2})
+    video(folder / "film.avi")
+    return folder
+
+
+def test_a_result_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:
+    kept = tmp_path / "east" / "notes.txt"
+    kept.parent.mkdir()
+    kept.write_text("mine")
+    result = result_of(drives / "east", plan_for(tmp_path))
+    assert result.reason == f"{kept.parent} exists and has no record of detect_bag: move or remove it."
+    assert kept.read_text() == "mine"
+
+
+def test_other_settings_make_another_result_but_what_somebody_added_is_not_lost(
+    drives: Path, tmp_path: Path
+) -> None:
+    source, east = drives / "east", tmp_path / "east"
+    assert result_of(source, plan_for(tmp_path)).state == "done"
+    assert result_of(source, plan_for(tmp_path)).state == "skipped"
+    assert result_of(source, plan_for(tmp_path, classes=["star"])).state == "done"
+    assert set(found_objects(east)) == {"star"}
+    (east / "notes.txt").write_text("mine")
+    result = result_of(source, plan_for(tmp_path))
+    assert result.reason == f"{east} is not replaced because it also contains notes.txt: move that elsewhere."
+    assert (east / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["summary.json", "summary.parquet"])
+def test_a_summary_of_somebody_else_is_not_replaced(
+    name: str, drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).touch()
+    assert main([str(drives), "--output", str(tmp_path), *SET_MODEL]) == 1
+    told = f"{tmp_path / name} is not a summary of detect_bag: move it, or choose another --output."
+    assert told in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_another_calibration_makes_other_results_in_int8_only(tmp_path: Path) -> None:
+    embedded = Path(plan_for(tmp_path).settings.weights)
+    weights = Path(shutil.copy(embedded, tmp_path))
+    calibration = path_beside(weights)
+
+    def digest(precision: str) -> str:
+        plan = plan_for(tmp_path, weights=str(weights), precision=precision, runtime="openvino")
+        return plan.settings_sha256
+
+    found = [(digest("int8"), digest("auto"))]
+    for content in (path_beside(embedded).read_bytes(), b"another"):
+        calibration.write_bytes(content)
+        found.append((digest("int8"), digest("auto")))
+    in_int8, in_fp32 = map(set, zip(*found, strict=True))
+    assert (len(in_int8), len(in_fp32)) == (3, 1)
+
+
+def test_a_recording_that_grows_while_it_is_read_fails(drives: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(drives / "east", tmp_path / "east"))
+    plan = plan_for(tmp_path / "found")
+    row = result_of(copy, plan, lambda _: (copy / "more.mcap").touch())
+    assert (row.state, "it changed while it was read" in row.reason) == ("failed", True)
+    assert list(plan.output.iterdir()) == []
+
+
+def test_images_that_cannot_be_read_are_counted_with_the_first_problem(tmp_path: Path) -> None:
+    odd = [raw(0), raw(1, encoding="32FC1"), raw(2, encoding="32FC1")]
+    source = record(tmp_path / "odd", odd, storage=StoragePlugin.MCAP)
+    result = result_of(source, plan_for(tmp_path / "found"))
+    assert (result.images, result.detected, result.rejected) == (3, 1, 2)
+    assert result.first_problem.startswith("1700000000.540000007: rejected: Encoding '32FC1'")
+
+
+def test_a_lost_gpu_or_a_full_disk_is_no_fault_of_a_recording(drives: Path, tmp_path: Path) -> None:
+    def fail(error: Exception) -> RecordingTask:
+        def on_image(_: int) -> None:
+            raise error
+
+        return RecordingTask(plan_for(tmp_path), on_image, prepare=prepare_once)
+
+    source = SourceRecording("east", drives / "east")
+    lost = RuntimeError("stopped")
+    lost.__cause__ = DeviceLostError("the GPU is gone")
+    with pytest.raises(DeviceLostError):
+        fail(lost).run(source)
+    refused = fail(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))).run(source)
+    assert isinstance(refused, Refused)
+    assert "No space left" in refused.reason
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix", "file"),
+    [
+        pytest.param("film.avi", ".csv", "detections.csv", id="video"),
+        pytest.param("film.avi", "", "detections.jsonl", id="video without suffix"),
+        pytest.param("east", ".yolo", "detections.yolo", id="recording"),
+        pytest.param("east", "", "east.mcap", id="recording without suffix"),
+    ],
+)
+def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
+    name: str, suffix: str, file: str, drives: Path, tmp_path: Path
+) -> None:
+    plan = plan_for(tmp_path / "found", suffix=suffix, crops=True)
+    source = SourceRecording(Path(name).stem, drives / name)
+    assert result_of(source.path, plan).state == "done"
+    folder = plan.output / source.name
+    files = {one.name for one in folder.iterdir()} - {"metadata.yaml"}
+    assert files == {file, "crops", RECORD_NAME}
+    again = finished_before(source, plan)
+    assert again is not None
+    assert again.state == "skipped"
+    crops = list((folder / "crops").rglob("*.jpg"))
+    assert len(crops) == sum(again.detections.values()) > 0
+    crops[0].unlink()
+    assert finished_before(source, plan) is None
+    assert result_of(source.path, plan).state == "done"
+    assert crops[0].exists()
+
+
+def test_the_command_takes_the_format_from_the_name_of_the_folder(drives: Path, tmp_path: Path) -> None:
+    output = tmp_path / "found.csv"
+    assert result_of(drives / "film.avi", plan_for(output, suffix=".csv", crops=True)).state == "done"
+    assert main([str(drives / "*.avi"), "--output", str(output), "--crops", *SET_MODEL]) == 0
+    assert states(output) == {"film": "skipped"}
+
+
+def test_each_format_with_or_without_crops_is_another_result(tmp_path: Path) -> None:
+    formats = ["", *FORMATS]
+    plans = [plan_for(tmp_path, suffix=one, crops=crops) for one in formats for crops in (False, True)]
+    assert len({plan.settings_sha256 for plan in plans}) == 2 * len(formats)
+
+
+def test_a_broken_video_fails_with_the_reason(tmp_path: Path) -> None:
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    row = result_of(tmp_path / "broken.mp4", plan_for(tmp_path / "found"))
+    assert row.state == "failed"
+    assert "neither as an image nor as a video" in row.reason
+    assert list((tmp_path / "found").iterdir()) == []
+
+
+def test_what_was_only_touched_is_not_done_again_and_what_was_changed_is(
+    drives: Path, tmp_path: Path
+) -> None:
+    copy, plan = Path(shutil.copy(drives / "film.avi", tmp_path)), plan_for(tmp_path / "found")
+    assert result_of(copy, plan).state == "done"
+    os.utime(copy, ns=(1, 1))
+    assert finished_before(SourceRecording("film", copy), plan) is None
+    assert result_of(copy, plan).state == "skipped"
+    assert finished_before(SourceRecording("film", copy), plan) is not None
+    copy.write_bytes(copy.read_bytes() + b"more")
+    assert result_of(copy, plan).state == "done"
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> SourceRecording:
+    (tmp_path / "drive").mkdir()
+    (tmp_path / "drive" / "drive.mcap").write_bytes(b"images")
+    return SourceRecording("drive", tmp_path / "drive")
+
+
+@pytest.fixture
+def result(source: SourceRecording, tmp_path: Path) -> Path:
+    """A finished result."""
+    folder, plan = tmp_path / "found" / "drive", plan_for(tmp_path / "found")
+    folder.mkdir(parents=True)
+    (folder / "drive.mcap").write_bytes(b"detections")
+    Record(
+        weights_sha256=plan.settings.weights_sha256,
+        settings_sha256=plan.settings_sha256,
+        recording_sha256="0" * 64,
+        recording_files=file_stamps(source.path),
+        result_bytes={"drive.mcap": 10},
+        result=RecordingResult(recording="drive", path="/before", state="done", images=3),
+    ).write(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "is_finished"),
+    [
+        pytest.param(lambda *_: None, {}, True, id="nothing"),
+        pytest.param(lambda source, _: (source / "notes.txt").touch(), {}, True, id="notes beside it"),
+        pytest.param(lambda source, _: (source / "drive_1.mcap").touch(), {}, False, id="another file"),
+        pytest.param(lambda source, _: (source / "drive.mcap").unlink(), {}, False, id="file missing"),
+        pytest.param(
+            lambda _, result: (result / "drive.mcap").write_bytes(b""), {}, False, id="result cut off"
+        ),
+        pytest.param(lambda _, result: (result / RECORD_NAME).unlink(), {}, False, id="no record"),
+        pytest.param(lambda *_: None, {"iou_threshold": 0.4}, False, id="setting"),
+    ],
+)
+def test_what_has_changed_is_not_finished(
+    change: Callable[[Path, Path], object],
+    settings: dict[str, Any],
+    is_finished: bool,
+    source: SourceRecording,
+    result: Path,
+) -> None:
+    change(source.path, result)
+    row = finished_before(source, plan_for(result.parent, **settings))
+    assert (row is not None) == is_finished
+    assert row is None or (row.state, row.path, row.images) == ("skipped", str(source.path), 3)
+
+
+def test_the_place_of_the_weights_makes_no_difference(
+    source: SourceRecording, result: Path, tmp_path: Path
+) -> None:
+    moved = Path(shutil.copy(plan_for(result.parent).settings.weights, tmp_path / "moved.safetensors"))
+    assert finished_before(source, plan_for(result.parent, weights=str(moved))) is not None
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(lambda _: b"", id="empty"),
+        pytest.param(lambda _: b"\xff\xfe", id="no text"),
+        pytest.param(lambda record: record[:-9], id="cut off"),
+        pytest.param(lambda record: record.replace(b'"drive"', b'"other"'), id="another recording"),
+    ],
+)
+def test_a_damaged_record_counts_as_none(content: Callable[[bytes], bytes], result: Path) -> None:
+    record = result / RECORD_NAME
+    assert read_record(result) is not None
+    record.write_bytes(content(record.read_bytes()))
+    assert read_record(result) is None

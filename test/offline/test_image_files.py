@@ -1,0 +1,110 @@
+"""Images and videos as files: what is read, and whether an annotated video is whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from support.recorded_scene import video
+
+from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.offline.annotated_files import AnnotatedVideo, is_whole_video
+from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile
+from yolov5_lifecycle.sources.frames import SourceError
+
+each_suffix = pytest.mark.parametrize("suffix", [".avi", ".mp4"])
+
+
+def test_a_link_to_a_device_is_no_image(tmp_path: Path) -> None:
+    (tmp_path / "1.jpg").symlink_to("/dev/zero")
+    with pytest.raises(ImageError, match="expected a regular file, found a pipe or device"):
+        ImageFile(tmp_path / "1.jpg").load()
+
+
+def test_a_pipe_is_no_video(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "drive.mp4")
+    with pytest.raises(SourceError, match="not a regular file"):
+        VideoFile.open(tmp_path / "drive.mp4")
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        pytest.param(lambda path: path.write_text("text"), "neither as an image nor", id="text"),
+        pytest.param(lambda path: path.touch(), "neither as an image nor", id="empty"),
+        pytest.param(
+            lambda path: os.truncate(video(path), 400),
+            "neither as an image nor|without a readable image",
+            id="cut off",
+        ),
+    ],
+)
+def test_what_is_no_video_is_refused(tmp_path: Path, make: Callable[[Path], object], told: str) -> None:
+    make(tmp_path / "drive.avi")
+    with pytest.raises(SourceError, match=told):
+        VideoFile.open(tmp_path / "drive.avi")
+
+
+def test_a_folder_that_is_called_like_a_video_is_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "drive.mp4").mkdir()
+    assert main([str(tmp_path / "drive.mp4")]) == 1
+    assert "drive.mp4 has no images" in capsys.readouterr().err
+
+
+def written(path: Path, *sizes_hw: tuple[int, int]) -> Path:
+    """A frame of noise of each size, as `detect_bag` writes them."""
+    generator = np.random.default_rng(0)
+    undrawn: Any = SimpleNamespace(drawn=lambda image, _: image)
+    output = AnnotatedVideo(path, 12.5, undrawn)
+    for size_hw in sizes_hw:
+        image = ColourImage(generator.integers(0, 256, (*size_hw, 3), np.uint8), "bgr")
+        found: Any = SimpleNamespace(image=image, detections=None)
+        output.add(found)
+    output.finish()
+    return path
+
+
+def test_frames_that_change_their_size_are_all_drawn(tmp_path: Path) -> None:
+    capture = cv2.VideoCapture(str(written(tmp_path / "drawn.avi", (48, 64), (24, 32), (96, 64))))
+    assert [capture.read()[0] for _ in range(4)] == [True, True, True, False]
+
+
+@each_suffix
+@pytest.mark.parametrize("frames", [1, 99])
+def test_a_whole_video_is_whole(frames: int, suffix: str, tmp_path: Path) -> None:
+    assert is_whole_video(written(tmp_path / f"whole{suffix}", *[(48, 64)] * frames))
+
+
+@each_suffix
+@pytest.mark.parametrize("missing_share", [0.0, 0.5, 1.0])
+def test_a_video_without_its_end_is_not(missing_share: float, suffix: str, tmp_path: Path) -> None:
+    path = written(tmp_path / f"cut_off{suffix}", *[(48, 64)] * 5)
+    size = path.stat().st_size
+    os.truncate(path, size - max(1, int(missing_share * size)))
+    assert not is_whole_video(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "is_whole"),
+    [
+        pytest.param("large.avi", b"RIFF\4\0\0\0AVI RIFF\4\0\0\0AVIX", True, id="two chunks"),
+        pytest.param("large.avi", b"RIFF\4\0\0\0AVI RIFF\5\0\0\0AVIX", False, id="second cut off"),
+        pytest.param("begun.avi", b"RIFF\0\0\0\0AVI " + bytes(50), False, id="length unknown"),
+        pytest.param("large.mp4", b"\0\0\0\1mdat" + bytes(7) + b"\x10\0\0\0\x08moov", True, id="64 bits"),
+        pytest.param("begun.mp4", b"\0\0\0\0mdat" + bytes(50), False, id="box of unknown length"),
+        pytest.param("begun.mp4", b"\0\0\0\x08free\0\0\0\x08mdat", False, id="no index"),
+        pytest.param("odd.mp4", b"\0\0", False, id="two bytes"),
+    ],
+)
+def test_the_lengths_of_the_chunks_decide(name: str, content: bytes, is_whole: bool, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert is_whole_video(tmp_path / name) == is_whole
