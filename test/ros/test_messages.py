@@ -13,7 +13,7 @@ from support.segmented_scene import pixels
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array, masks_message
+from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array, image_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced
 
 CUP = Box3D((0.5, -0.25, 2.0), (0.1, 0.2, 0.05))
@@ -105,7 +105,7 @@ def test_masks_are_an_image_of_16_bits_with_the_header_of_the_source(
     label_image: NDArray[np.uint16],
 ) -> None:
     header = Header(stamp=Time(sec=7, nanosec=8), frame_id="lens")
-    message = deserialize_message(serialize_message(masks_message(label_image, header)), Image)
+    message = deserialize_message(serialize_message(image_message(label_image, "16UC1", header)), Image)
     assert message.header == header
     assert (message.encoding, message.is_bigendian) == ("16UC1", 0)
     assert (message.height, message.width) == label_image.shape

@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.namesakes import namesakes
+from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.observer import Observer
 
 HERE, THERE = b"\x01\x0f\x12\x34", b"\x01\x0f\x56\x78"

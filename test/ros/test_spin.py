@@ -10,8 +10,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from yolov5_lifecycle.ros.nodes import spin
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
-from yolov5_lifecycle.ros.spin import spin
 
 
 @pytest.fixture

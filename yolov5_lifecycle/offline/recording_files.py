@@ -12,12 +12,12 @@ from pathlib import Path, PurePath
 
 from backports import zstd
 
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.input_file import read_regular_file
 from yolov5_lifecycle.offline.mcap_file import McapFile
 from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG
 from yolov5_lifecycle.offline.sqlite_file import SqliteFile
 from yolov5_lifecycle.offline.stored_topics import MAX_MESSAGE_BYTES, Storage, StorageError
-from yolov5_lifecycle.outside_yaml import OutsideYamlError, texts_of
+from yolov5_lifecycle.outside_yaml import texts_of
 from yolov5_lifecycle.printable import shell_command
 
 MAX_METADATA_BYTES = 16 << 20
@@ -50,7 +50,7 @@ def files_of(path: Path) -> RecordingFiles:
             f"{METADATA} is missing, which is written when recording ends: "
             f"{shell_command('ros2', 'bag', 'reindex', path)}"
         ) from None
-    except (OutsideYamlError, RegularFileError) as error:
+    except ValueError as error:
         raise StorageError(f"{METADATA}: {error}") from None
     bag = _mapping(_mapping(described).get("rosbag2_bagfile_information"))
     names = bag.get("relative_file_paths")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameters.values import coerced, plain_values
+from yolov5_lifecycle.ros.parameters.declaration import coerced, plain_values
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, Settings, validated
 
