@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from yolov5_lifecycle.ros import child_process
 from yolov5_lifecycle.ros.child_process import ChildProcess, isolated, own_domain
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 
@@ -36,7 +37,8 @@ def test_a_process_that_ends_too_early_is_reported_with_its_last_words() -> None
             process.check_running()
 
 
-def test_a_process_that_does_not_end_is_reported_and_killed() -> None:
+def test_a_process_that_does_not_end_is_reported_and_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(child_process, "_KILL_S", 0.1)
     ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN)"
     program = f"{ignore}; print('ready', flush=True); time.sleep(60)"
     with ChildProcess("mule", [sys.executable, "-c", program], os.environ) as process:
