@@ -203,23 +203,16 @@ def test_wrong_arguments_are_refused_before_anything_is_started(
 
 
 @with_launch
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        pytest.param({"imge": "/x"}, "Did you mean 'image'?", id="unknown name"),
-        pytest.param({"params_file": "/no/such.yaml"}, "found no file there", id="no file"),
-    ],
-)
 def test_a_launch_file_that_includes_the_detector_wrongly_ends_with_its_own_processes(
-    workspace: Path, ros_domain: int, tmp_path: Path, arguments: dict[str, str], told: str
+    workspace: Path, ros_domain: int, tmp_path: Path
 ) -> None:
     robot = tmp_path / "robot.launch.py"
     robot.write_text(ROBOT)
-    variables = {"INCLUDED": str(installed(workspace, DETECTOR)), "ARGUMENTS": json.dumps(arguments)}
+    variables = {"INCLUDED": str(installed(workspace, DETECTOR)), "ARGUMENTS": json.dumps({"imge": "/x"})}
     command = launch_command(robot, "fps:=15", "name_of_nothing:=1")
     with ChildProcess("launch", command, launch_environment(workspace, ros_domain) | variables) as process:
         assert process.wait(60) == 1
-    assert told in process.output
+    assert "Did you mean 'image'?" in process.output
     assert "detector" not in re.findall(r"\[(\w+)-\d+\]: process started", process.output)
     assert re.search(r"process has died \[pid \d+, exit code -2, cmd 'sleep 3600'\]", process.output)
 

@@ -183,10 +183,6 @@ def test_a_camera_that_never_delivers_hangs_nothing(tmp_path: Path) -> None:
     assert "Plug the camera in again" in row.remedy
 
 
-def test_a_machine_without_cameras_has_no_line_about_them(tmp_path: Path) -> None:
-    assert doctor("--only", "camera", root=tmp_path) == []
-
-
 @pytest.mark.long  # it imports torch
 def test_a_runtime_that_cannot_be_imported_is_found(tmp_path: Path) -> None:
     planted(tmp_path, {"onnxruntime/__init__.py": "raise RuntimeError('planted')"})

@@ -7,7 +7,6 @@ import signal
 import subprocess
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.detector_process import NODE, environment
@@ -52,37 +51,22 @@ def test_a_closed_pipe_ends_the_command_silently(command: str) -> None:
 
 
 @pytest.mark.long
-def test_a_node_goes_on_when_nobody_reads_its_log(ros_domain: int) -> None:
-    """As in `detector 2>&1 | head -1`."""
-    with started(
-        [entry_point("detector")],
-        env=environment(ros_domain),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    ) as process:
+@pytest.mark.parametrize("closing_words", ["", "<&- >&- 2>&-"], ids=["read by nobody", "closed"])
+def test_a_node_does_its_work_whatever_its_streams(ros_domain: int, closing_words: str) -> None:
+    """As in `detector 2>&1 | head -1`: it configures, which is logged, and SIGHUP ends its process with 0."""
+    command = ["sh", "-c", f'exec "$0" {closing_words}', entry_point("detector")]
+    with (
+        started(
+            command, env=environment(ros_domain), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        ) as process,
+        closing(Observer("client", domain=ros_domain)) as observer,
+    ):
         assert process.stdout is not None
-        process.stdout.readline()
+        assert b"Traceback" not in process.stdout.readline()
         process.stdout.close()
-        still_served_then_ended(process, ros_domain)
-
-
-@pytest.mark.long
-def test_a_node_does_its_work_with_closed_streams(ros_domain: int) -> None:
-    command = ["sh", "-c", 'exec "$0" <&- >&- 2>&-', entry_point("detector")]
-    with started(
-        command, env=environment(ros_domain), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        still_served_then_ended(process, ros_domain)
-        assert process.stdout is not None
-        assert "Traceback" not in process.stdout.read()
-
-
-def still_served_then_ended(process: subprocess.Popen[Any], domain: int) -> None:
-    """The node configures, which is logged, and SIGHUP ends its process with 0."""
-    with closing(Observer("client", domain=domain)) as observer:
         node = RemoteLifecycleNode(observer, NODE)
         node.wait_until_reachable()
         assert node.change_state("configure")
         assert node.state() == "inactive"
-    process.send_signal(signal.SIGHUP)
-    assert process.wait(60) == 0
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(60) == 0

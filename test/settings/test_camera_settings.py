@@ -10,7 +10,7 @@ from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import Change, SettingsError
-from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, validated
+from yolov5_lifecycle.settings.settings import SETTINGS, validated
 
 FRONT_AND_REAR: dict[str, Any] = {"cameras": ("front", "rear")}
 
@@ -122,11 +122,6 @@ def test_the_digest_covers_overrides_in_any_order() -> None:
     assert settings.digest() != validated({**values, "front.max_rate": 3.0}).digest()
 
 
-def test_the_values_of_settings_give_the_same_settings() -> None:
-    settings = validated({**FRONT_AND_REAR, "front.max_rate": 2, "rear.classes": ["a"], "front.classes": []})
-    assert validated({**settings.model_dump(), **settings.overrides}) == settings
-
-
 @pytest.mark.parametrize(
     ("values", "problem"),
     [
@@ -188,31 +183,19 @@ def test_every_problem_is_reported_at_once() -> None:
     assert names == ["max_rate", "wieghts", "front.lazy", "rear.depth", "side.lazy"]
 
 
-def test_an_override_is_a_setting_of_its_own_name() -> None:
-    override, of_node = SCHEMA.find("front.max_rate"), SCHEMA.find("max_rate")
-    assert override is not None
-    assert of_node is not None
-    assert (override.name, override.type, override.allowed) == ("front.max_rate", float, of_node.allowed)
-    assert "front" in override.description
-    assert [SCHEMA.find(name) for name in ("front.weights", ".max_rate", "front.max_rate.x")] == [None] * 3
-
-
 # With the classes of a model
 
 
 @pytest.mark.parametrize(
     ("values", "names"),
     [
-        pytest.param({}, [], id="all"),
         pytest.param({"classes": ["cat"], "front.classes": [], "rear.classes": ["dog"]}, [], id="known"),
         pytest.param({"classes": ["cow"]}, ["classes"], id="inherited"),
-        pytest.param({"front.classes": ["cow"]}, ["front.classes"], id="overridden"),
         pytest.param(
             {"classes": ["cow"], "front.classes": ["pig"], "rear.classes": ["cow"]},
             ["classes", "front.classes"],
             id="both",
         ),
-        pytest.param({"class_thresholds": ["cow: 0.5"]}, ["class_thresholds"], id="threshold"),
         pytest.param({"collect_reasons": ["novel", "class: cow"]}, ["collect_reasons"], id="reason"),
         pytest.param(
             {"class_thresholds": ["cat: 0.5"], "rear.class_thresholds": ["cat: 0.5", "0: 0.4"]},

@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import IO
 
 from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error
 from yolov5_lifecycle.printable import in_one_line
@@ -103,7 +102,8 @@ def _run(examination: Examination, root: Path, patience_s: float) -> tuple[int |
     They are files in memory: a pipe ends only with all that the process has started, and a disk may be full.
     """
     words = [sys.argv[0], examination.module, examination.name, str(root), examination.target]
-    with _file_in_memory("stdout") as answer, _file_in_memory("stderr") as last_words:
+    answer, last_words = (os.fdopen(os.memfd_create(name), "w+b") for name in ("stdout", "stderr"))
+    with answer, last_words:
         process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, *words],
             stdin=subprocess.DEVNULL,
@@ -120,16 +120,9 @@ def _run(examination: Examination, root: Path, patience_s: float) -> tuple[int |
                 os.killpg(process.pid, signal.SIGKILL)
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_DEATH_S)
-        return code, _text(answer), _text(last_words)
-
-
-def _file_in_memory(name: str) -> IO[bytes]:
-    return os.fdopen(os.memfd_create(name), "w+b")
-
-
-def _text(file: IO[bytes]) -> str:
-    file.seek(0)
-    return file.read().decode(errors="replace")
+        for file in (answer, last_words):
+            file.seek(0)
+        return code, answer.read().decode(errors="replace"), last_words.read().decode(errors="replace")
 
 
 def _early_end(code: int | None, patience_s: float, last_words: str) -> str:

@@ -142,23 +142,20 @@ def _precisions(machine: Machine) -> Iterator[Finding]:
     if machine.target != COARSE_RUNTIME or installed_build(COARSE_RUNTIME) is None:
         return
     expected, fp32_ms = detected(runtime=COARSE_RUNTIME)
-    for precision in ("int8", "bf16") if has_bf16(abilities()) else ("int8",):
-        try:
-            found, median_ms = detected(runtime=COARSE_RUNTIME, precision=precision)
-            problem = difference(expected, found, COARSE)
-            told = f"{precision} differs from fp32: {problem}"
-        except CalibrationError as refusal:
-            problem = told = f"{precision}: {refusal}"
-        if problem:
-            yield warning(
-                told,
-                remedy=f"Keep precision at auto or fp32, because {precision} is not usable here; "
-                "docs/int8.md has more.",
-            )
-        else:
-            yield ok(
-                f"{precision}: same detections as fp32, {median_ms:.1f} ms an image (fp32 {fp32_ms:.1f} ms)"
-            )
+    yield _precision("int8", expected, fp32_ms)
+    if has_bf16(abilities()):
+        yield _precision("bf16", expected, fp32_ms)
+
+
+def _precision(precision: str, expected: Detections, fp32_ms: float) -> Finding:
+    remedy = f"Keep precision at auto or fp32, because {precision} is not usable here; docs/int8.md has more."
+    try:
+        found, median_ms = detected(runtime=COARSE_RUNTIME, precision=precision)
+    except CalibrationError as refusal:
+        return warning(f"{precision}: {refusal}", remedy=remedy)
+    if problem := difference(expected, found, COARSE):
+        return warning(f"{precision} differs from fp32: {problem}", remedy=remedy)
+    return ok(f"{precision}: same detections as fp32, {median_ms:.1f} ms an image (fp32 {fp32_ms:.1f} ms)")
 
 
 CHECKS: Groups = {

@@ -209,15 +209,6 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             id="no camera can be read",
         ),
         pytest.param(
-            {**FRONT_AND_REAR, "side.max_rate": -1.0},
-            [
-                "side.max_rate: -1.0 is not a number from 0 to 1000.",
-                "side.max_rate: there is no such parameter: add the camera to cameras, which has front, "
-                "rear. Or remove it: ros2 param delete /yolov5 side.max_rate",
-            ],
-            id="value of a missing camera",
-        ),
-        pytest.param(
             {"cameras": [*MANY, "front"], "front.max_rate": 5.0, "front.max_rte": 5.0},
             [
                 "cameras: ",
@@ -319,29 +310,6 @@ def test_setting_the_parameter_that_was_meant_corrects_the_name(ros_domain: int,
     with detector(tmp_path, {"cameras": ["front"], "front.max_rte": 5.0}) as tried:
         assert "Did you mean 'front.max_rate'? Set that one, or" in tried.configure()
         assert tried.set("front.max_rate", 5.0).successful
-        assert tried.configure() == ""
-
-
-def test_an_override_waits_for_its_camera_although_that_of_a_similar_name_is_set(
-    ros_domain: int, tmp_path: Path
-) -> None:
-    given = {"cameras": ["front"], "front_left.max_rate": 5.0}
-    with detector(tmp_path, given) as tried:
-        assert tried.set("front.max_rate", 3.0).successful
-        assert tried.set("cameras", ["front", "front_left"]).successful
-        assert tried.configure() == ""
-        assert tried.node._settings.settings().for_camera("front_left").max_rate == 5.0
-        (row,) = re.findall(r"^ *front_left\.max_rate .*$", tried.node._settings.table(), re.MULTILINE)
-        assert row.endswith("parameter file")
-
-
-def test_a_camera_that_is_added_with_a_wrong_override_leaves_its_problem_to_configure(
-    ros_domain: int, tmp_path: Path
-) -> None:
-    with detector(tmp_path, {"cameras": ["front"], "rear.max_rate": -1.0}) as tried:
-        assert tried.set("cameras", ["front", "rear"]).successful
-        assert names_in(tried.configure()) == {"rear.max_rate"}
-        assert tried.set("rear.max_rate", None).successful
         assert tried.configure() == ""
 
 
