@@ -75,7 +75,7 @@ def planned(root: Path) -> list[Examination]:
     """All examinations in their order; the cameras come last, because several may take their whole time."""
     found = [device.name for device in (root / "dev").glob("video[0-9]*")]
     names = sorted(found, key=lambda name: (len(name), name))[:MOST_CAMERAS]
-    module = "yolov5_lifecycle.doctor.cameras"
+    module = "yolov5_lifecycle.doctor.system"
     return [*_EXAMINATIONS, *(Examination("camera", module, 10, _CAMERA, f"/dev/{name}") for name in names)]
 
 

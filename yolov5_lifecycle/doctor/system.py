@@ -1,4 +1,4 @@
-"""The machine: operating system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver."""
+"""The machine: operating system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver, cameras."""
 
 from __future__ import annotations
 
@@ -191,6 +191,36 @@ def _absence(machine: Machine, libraries: set[str]) -> Finding:
     return ok("no NVIDIA GPU: the detector uses the CPU")
 
 
+def _camera(machine: Machine) -> Iterator[Finding]:
+    """One image of the device, which may also belong to something that sends none."""
+    from yolov5_lifecycle.sources.frames import SourceError  # OpenCV, which the other checks do not need
+    from yolov5_lifecycle.sources.source import open_source
+
+    device = machine.path(machine.target)
+    if not os.access(device, os.R_OK | os.W_OK):
+        yield error(
+            "this user may not open it",
+            remedy="Add the user to the group of the device with `sudo usermod -aG video $USER` and log in "
+            "again; give a container the device with --device.",
+        )
+        return
+    try:
+        frame = next(open_source(str(device)).frames)
+    except SourceError as problem:
+        # The driver of USB cameras adds a second device, with the description of the images.
+        if machine.text(f"/sys/class/video4linux/{device.name}/index").strip() not in ("", "0"):
+            yield ok("sends no images: it belongs to another device of the same camera")
+        else:
+            yield warning(
+                str(problem),
+                remedy="End the program that uses the camera (`sudo fuser -v /dev/video*`), or plug it in "
+                "again; ignore this line if the device is no camera.",
+            )
+        return
+    height, width = frame.image.size_hw
+    yield ok(f"one image of {width}x{height} received")
+
+
 CHECKS: Groups = {
     "system": {
         "system": _system,
@@ -201,4 +231,5 @@ CHECKS: Groups = {
         "cache": _cache,
     },
     "driver": {"NVIDIA driver": _driver},
+    "camera": {"camera": _camera},
 }

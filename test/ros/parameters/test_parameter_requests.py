@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -17,17 +17,14 @@ from rcl_interfaces.srv import (
     GetParameters,
     GetParameterTypes,
     ListParameters,
-    SetParameters,
 )
 from rclpy.parameter import Parameter
-from support.lone_node import lone_node
 from support.preparations import CLASS_NAMES, Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
+from yolov5_lifecycle.ros.detector.session import Session
 from yolov5_lifecycle.ros.parameters.declaration import coerced, plain_values
 from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
-from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, Settings, validated
@@ -87,10 +84,10 @@ def test_a_request_with_many_bad_values_is_validated_once_for_each_and_once_toge
     served: ServedNode, validation: CountingValidation
 ) -> None:
     before = validation.count
-    results = served.set_one_by_one(messages(max_rate=-1.0) * MAX_ITEMS)
+    results = served.set_one_by_one(messages(max_rate=-1.0) * 100)
     assert not any(result.successful for result in results)
-    assert len(results) == MAX_ITEMS
-    assert validation.count - before <= MAX_ITEMS + 1
+    assert len(results) == 100
+    assert validation.count - before <= 101
 
 
 def test_the_reason_of_a_refusal_is_short(served: ServedNode) -> None:
@@ -181,51 +178,25 @@ def test_any_parameter_becomes_a_setting_or_is_refused(name: str, value: object,
     assert not isinstance(value, float) or math.isfinite(value)
 
 
-class FailingSession:
-    """Stands in for what runs; follows settings only up to a confidence threshold of 0.5."""
+def test_a_change_that_cannot_take_effect_leaves_nothing_behind(
+    served: ServedNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served.bring_to("active")
+    apply, applied = Session.apply, list[float]()
 
-    def __init__(self) -> None:
-        self.model = ClassesOnly()
-        self.preparation = "a model"
-        self.settings = Settings()
-
-    def apply(self, settings: Settings, preparation: Any = None) -> None:
+    def fail(session: Session, settings: Settings, preparation: Any) -> None:
+        applied.append(settings.confidence_threshold)
         if settings.confidence_threshold > 0.5:
             raise RuntimeError("the subscription failed")
-        self.settings = settings
+        apply(session, settings, preparation)
 
-
-class AlwaysActive:
-    """Stands in for resources of which only the session changes."""
-
-    def __init__(self, session: Any) -> None:
-        self.session = session
-
-
-class ClassesOnly:
-    """Stands in for a model and its detector."""
-
-    @property
-    def detector(self) -> ClassesOnly:
-        return self
-
-    class_names = CLASS_NAMES
-
-
-def test_a_change_that_cannot_take_effect_leaves_nothing_behind(ros_domain: int) -> None:
-    session = FailingSession()
-    nothing: Any = None
-    request = SetParameters.Request(parameters=messages(confidence_threshold=0.75))
-    with lone_node("yolov5") as node:
-        parameters = SettingsParameters(node)
-        reconfiguration = Reconfiguration(
-            node, parameters=parameters, loader=nothing, resources=cast(Any, AlwaysActive(session))
-        )
-        set_one_by_one = reconfiguration.handlers()["set_parameters"]
-        with pytest.raises(RuntimeError, match="the subscription failed"):
-            set_one_by_one(request, SetParameters.Response()).send(None)
-        assert node.get_parameter("confidence_threshold").value == 0.25
-        assert parameters.settings() == session.settings == Settings()
+    monkeypatch.setattr(Session, "apply", fail)
+    (result,) = served.set_one_by_one(messages(confidence_threshold=0.75))
+    assert not result.successful
+    assert "the subscription failed" in result.reason
+    assert served.get("confidence_threshold") == 0.25
+    assert applied == [0.75, 0.25]
+    assert served.node._settings.settings() == Settings()
 
 
 # Reloads
