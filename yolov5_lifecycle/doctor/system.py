@@ -1,4 +1,4 @@
-"""The machine: operating system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver, cameras."""
+"""The machine: system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver, cameras."""
 
 from __future__ import annotations
 
