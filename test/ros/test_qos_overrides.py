@@ -16,13 +16,9 @@ from sensor_msgs.msg import Image
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import NODE
 from support.preparations import Preparations
-from support.served_node import ServedNode
+from support.served_node import ServedNode, image
+from vision_msgs.msg import Detection3DArray
 
-from yolov5_lifecycle.ros.detector.depth import DepthInput
-from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
-from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
-from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.qos_overrides import qos_problems
 from yolov5_lifecycle.ros.topics import full_name, published, subscribed
 
@@ -117,47 +113,30 @@ def test_every_topic_may_be_overridden_in_history_depth_and_reliability(
         names = [f"{full_name(node, topic)}.publisher" for topic in published(("",))]
         names += [f"{full_name(node, topic)}.subscription" for topic in subscribed(("",))]
     policies = {"history": "keep_all", "depth": 7, "reliability": reliability}
-    words = [
-        word
-        for name in names
-        for policy, value in policies.items()
-        for word in assignment(f"{name}.{policy}", value)
-    ]
-    with started(*words) as node:
-        assert qos_problems(node, ("",)) == []
-        outputs = Outputs(node, on_subscribers_changed=lambda: None)
-        label_info = label_info_publisher(node)
-        topics = [ImageTopic(node, "raw"), ImageTopic(node, "compressed")]
-        inputs = [
-            ImageInput(
-                node,
-                topic=topic,
-                reliability="auto",
-                on_frame=lambda frame: None,
-                losses=ImageLosses(),
-            )
-            for topic in topics
-        ]
-        depth = DepthInput(node, slop_s=0.05)
-        depth.follow(is_needed=True)
-        ours = [e for e in (*node.publishers, *node.subscriptions) if node.has_parameter(_depth_of(e))]
-        assert len(ours) == len(names)
-        for endpoint in ours:
-            assert endpoint.qos_profile.history.name == "KEEP_ALL"
-            assert endpoint.qos_profile.depth == 7
-            assert endpoint.qos_profile.reliability.name == reliability.upper()
-        for image_input in inputs:
-            assert image_input.status().reliability.name == reliability.upper()
-            image_input.close()
-        depth.follow(is_needed=False)
-        outputs.close()
-        node.destroy_lifecycle_publisher(label_info)
+    pairs = [(f"{name}.{policy}", value) for name in names for policy, value in policies.items()]
+    words = [word for pair in pairs for word in assignment(*pair)]
+    arguments = [*REMAP, *words, "-p", "lazy:=false", "-p", "depth:=true"]
+    with ServedNode(Preparations(), arguments=arguments) as served:
+        served.client.create_subscription(Detection3DArray, f"{NODE}/detections_3d", lambda _: None, 1)
+        served.bring_to("active")
+        found = dict[str, tuple[str, int, str]]()
+
+        def are_found(count: int) -> bool:
+            found.update(qualities(served.node))
+            return len(found.keys() & set(names)) == count
+
+        served.wait_for(lambda: are_found(len(names) - 1), "all endpoints but that of the other transport")
+        assert served.set(image_transport="compressed") == (True, "")
+        served.wait_for(lambda: are_found(len(names)), "that endpoint")
+        assert {found[name] for name in names} == {("KEEP_ALL", 7, reliability.upper())}
 
 
-def _depth_of(endpoint: object) -> str:
-    topic = getattr(endpoint, "topic_name", None)
-    kind = "subscription" if isinstance(endpoint, rclpy.subscription.Subscription) else "publisher"
-    return f"qos_overrides.{topic}.{kind}.depth"
+def qualities(node: Any) -> Iterator[tuple[str, tuple[str, int, str]]]:
+    """History, depth and reliability of the endpoints of `node` by topic and kind."""
+    for kind, endpoints in (("publisher", node.publishers), ("subscription", node.subscriptions)):
+        for endpoint in list(endpoints):
+            qos = endpoint.qos_profile
+            yield f"{endpoint.topic_name}.{kind}", (qos.history.name, qos.depth, qos.reliability.name)
 
 
 def test_configure_refuses_a_wrong_override_until_the_next_start(ros_domain: int) -> None:
@@ -194,32 +173,18 @@ def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain:
 def test_without_an_override_the_subscription_follows_a_camera_that_is_replaced(
     ros_domain: int, first: ReliabilityPolicy, second: ReliabilityPolicy
 ) -> None:
-    observer = Observer("camera", domain=ros_domain)
-    camera = observer.create_publisher(Image, CAMERA, QoSProfile(depth=1, reliability=first))
-    with started() as node:
-        received: list[object] = []
-        topic = ImageTopic(node, "raw")
-        image_input = ImageInput(
-            node, topic=topic, reliability="auto", on_frame=received.append, losses=ImageLosses()
-        )
+    with ServedNode(Preparations(), arguments=[*REMAP, "-p", "lazy:=false"]) as served:
+        served.bring_to("active")
+        for reliability in (first, second):
+            profile = QoSProfile(depth=1, reliability=reliability)
+            camera = served.client.create_publisher(Image, CAMERA, profile)
+            infos = served.client.get_subscriptions_info_by_topic
+            served.wait_for(lambda: reliabilities(infos(CAMERA)) == [reliability], "the subscription")  # noqa: B023
+            received = len(served.detections)
 
-        def reliability() -> ReliabilityPolicy:
-            image_input.update()
-            return image_input.status().reliability
+            def is_received() -> bool:
+                camera.publish(image())  # noqa: B023
+                return len(served.detections) > received  # noqa: B023
 
-        observer.wait_for(lambda: reliability() is first, "the first camera's reliability")
-        observer.destroy_publisher(camera)
-        observer.wait_for(lambda: topic.look().publishers == 0, "the first camera to go")
-        camera = observer.create_publisher(Image, CAMERA, QoSProfile(depth=1, reliability=second))
-        observer.wait_for(lambda: reliability() is second, "the second camera's reliability")
-
-        def is_received() -> bool:
-            camera.publish(Image())
-            rclpy.spin_once(node, executor=executor, timeout_sec=0.01)
-            return bool(received)
-
-        executor = rclpy.executors.SingleThreadedExecutor(context=node.context)
-        observer.wait_for(is_received, "an image of the second camera")
-        executor.shutdown()
-        image_input.close()
-    observer.close()
+            served.wait_for(is_received, "the detections in an image of this camera")
+            served.client.destroy_publisher(camera)
