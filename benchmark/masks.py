@@ -27,7 +27,7 @@ from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.models.architecture import SIZES
-from yolov5_lifecycle.ros.messages import masks_message
+from yolov5_lifecycle.ros.messages import image_message
 
 REPORT = Path(__file__).parents[1] / "build" / "bench" / "masks.json"
 COUNTS = (1, 10, 50)
@@ -64,7 +64,7 @@ def calls(weights: Path, size_hw: tuple[int, int]) -> Mapping[str, Callable[[], 
         PROTOTYPES: compute_prototypes,
         **{of_objects(count): masks_of(count) for count in COUNTS},
         DRAWING: lambda: draw_masks(canvas, labels, [(255, 0, 0)] * 10),
-        MESSAGE: lambda: masks_message(labels, Header()),
+        MESSAGE: lambda: image_message(labels, "16UC1", Header()),
     }
 
 

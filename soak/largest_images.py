@@ -14,7 +14,6 @@ from soak.finding import Finding
 from soak.sender import Sender
 from soak.subject import Subject
 from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS
-from yolov5_lifecycle.ros.observer import NoAnswerError
 
 LARGEST_SIDE_PX = 8192
 _MB_PER_MPX = 13  # coefficients of four components, the image and a copy of it
@@ -68,9 +67,9 @@ def _detect(subject: Subject, sender: Sender, data: bytes) -> float:
         subject.observer.wait_for(
             lambda: int(subject.status()["frames detected"]) > detected, "its detection"
         )
-    except NoAnswerError as error:
+    except TimeoutError as error:
         frames = {name: value for name, value in subject.status().items() if name.startswith("frames")}
-        raise NoAnswerError(f"{error}, after {detected} others; {frames}") from error
+        raise TimeoutError(f"{error}, after {detected} others; {frames}") from error
     return time.monotonic() - begun_s
 
 

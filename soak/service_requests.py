@@ -14,7 +14,6 @@ from support.detector_process import NODE
 
 from soak.finding import Finding, none_wrong_nor_escaped
 from soak.subject import Subject
-from yolov5_lifecycle.ros.observer import NoAnswerError
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 _SERVICES = 12
@@ -128,7 +127,7 @@ class HostileClient:
     def _is_answered(self, future: Any) -> bool:
         try:
             self._observer.wait_for(future.done, "an answer", timeout_s=_PATIENCE_S)
-        except NoAnswerError:
+        except TimeoutError:
             return False
         return True
 

@@ -32,7 +32,7 @@ from yolov5_lifecycle.detection.selection import ClassFilterError, class_ids
 from yolov5_lifecycle.offline.detect_bag_arguments import command_parser
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.parameters.values import coerced
+from yolov5_lifecycle.ros.parameters.declaration import coerced
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

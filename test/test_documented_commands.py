@@ -50,7 +50,7 @@ from yolov5_lifecycle.commands import convert, fetch_weights
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.ros.parameters.values import coerced
+from yolov5_lifecycle.ros.parameters.declaration import coerced
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 NOT_RUN = {

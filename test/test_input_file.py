@@ -46,7 +46,6 @@ def resolved(url: str, modules: Path, **environment: str) -> str:
     "modules",
     [
         pytest.param("lib/python3.12/site-packages", id="environment"),
-        pytest.param("local/lib/python3.12/dist-packages", id="debian"),
         pytest.param(".", id="target"),
     ],
 )

@@ -168,19 +168,14 @@ def installed(workspace: Path, file: Path) -> Path:
     [
         pytest.param(DEMO, "rviz:=true", "RViz is not installed. Install it with `sudo apt", id="no RViz"),
         pytest.param(DEMO, "params_file:=/no/such.yaml", "file at '/no/such.yaml', found no file", id="typo"),
-        pytest.param(DETECTOR, "params_file:=/", "file at '/', found a folder", id="folder"),
         pytest.param(DETECTOR, "params_file:=~/x.yaml", "Write $HOME instead of ~", id="tilde"),
         pytest.param(DEMO, "autostart:=maybe", "autostart: expected true or false, found 'maybe'", id="word"),
-        pytest.param(
-            DETECTOR, "console:=maybe", "console: expected true or false, found 'maybe'", id="console"
-        ),
         pytest.param(
             DETECTOR,
             "imge:=/camera/image_raw",
             "Unknown launch argument 'imge'. Did you mean 'image'? The arguments are: autostart, console,",
             id="unknown name",
         ),
-        pytest.param(DEMO, "sorce:=0", "Did you mean 'source'?", id="unknown name of the demo"),
         pytest.param(
             DETECTOR,
             "log_level:=warning",
@@ -188,9 +183,7 @@ def installed(workspace: Path, file: Path) -> Path:
             "'warning'. Did you mean 'warn'?",
             id="log level",
         ),
-        pytest.param(DEMO, "log_level:=10", "log_level: expected debug", id="number as log level"),
         pytest.param(DETECTOR, "log_level:=yolov5:=debg", "Did you mean 'debug'?", id="level of a logger"),
-        pytest.param(DETECTOR, "log_level:=:=debug", "found ':=debug'", id="no logger"),
         pytest.param(
             DETECTOR,
             "console_arguments:='--port 1",
@@ -210,23 +203,16 @@ def test_wrong_arguments_are_refused_before_anything_is_started(
 
 
 @with_launch
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        pytest.param({"imge": "/x"}, "Did you mean 'image'?", id="unknown name"),
-        pytest.param({"params_file": "/no/such.yaml"}, "found no file there", id="no file"),
-    ],
-)
 def test_a_launch_file_that_includes_the_detector_wrongly_ends_with_its_own_processes(
-    workspace: Path, ros_domain: int, tmp_path: Path, arguments: dict[str, str], told: str
+    workspace: Path, ros_domain: int, tmp_path: Path
 ) -> None:
     robot = tmp_path / "robot.launch.py"
     robot.write_text(ROBOT)
-    variables = {"INCLUDED": str(installed(workspace, DETECTOR)), "ARGUMENTS": json.dumps(arguments)}
+    variables = {"INCLUDED": str(installed(workspace, DETECTOR)), "ARGUMENTS": json.dumps({"imge": "/x"})}
     command = launch_command(robot, "fps:=15", "name_of_nothing:=1")
     with ChildProcess("launch", command, launch_environment(workspace, ros_domain) | variables) as process:
         assert process.wait(60) == 1
-    assert told in process.output
+    assert "Did you mean 'image'?" in process.output
     assert "detector" not in re.findall(r"\[(\w+)-\d+\]: process started", process.output)
     assert re.search(r"process has died \[pid \d+, exit code -2, cmd 'sleep 3600'\]", process.output)
 
@@ -234,7 +220,7 @@ def test_a_launch_file_that_includes_the_detector_wrongly_ends_with_its_own_proc
 @with_launch
 @pytest.mark.parametrize(
     ("autostart", "state"),
-    [("true", "active"), ("True", "active"), ("false", "unconfigured"), ("False", "unconfigured")],
+    [("True", "active"), ("false", "unconfigured")],
 )
 def test_the_node_of_a_namespace_starts_as_asked(
     workspace: Path, ros_domain: int, tmp_path: Path, autostart: str, state: str

@@ -10,14 +10,10 @@ MAX_ENTRIES = 1_000_000
 """Files and folders; listing that many takes about a second."""
 
 
-class FolderSizeError(OSError):
-    """A folder with more entries than the limit; the message says how many were expected."""
-
-    def __init__(self, folder: Path) -> None:
-        super().__init__(
-            f"{folder}: expected at most {MAX_ENTRIES:,} files and folders, found more: "
-            "name a smaller folder."
-        )
+def _too_many(folder: Path) -> OSError:
+    return OSError(
+        f"{folder}: expected at most {MAX_ENTRIES:,} files and folders, found more: name a smaller folder."
+    )
 
 
 def entries(folder: Path) -> Iterator[Path]:
@@ -25,7 +21,7 @@ def entries(folder: Path) -> Iterator[Path]:
     with os.scandir(folder) as found:
         for count, entry in enumerate(found, start=1):
             if count > MAX_ENTRIES:
-                raise FolderSizeError(folder)
+                raise _too_many(folder)
             yield Path(entry.path)
 
 
@@ -38,14 +34,14 @@ class FolderTree:
     def files(self, folder: Path) -> Iterator[Path]:
         """The files below `folder`, in any order; links to folders are not followed.
 
-        A subfolder that cannot be listed is left out. Raises FolderSizeError.
+        A subfolder that cannot be listed is left out. Raises OSError beyond MAX_ENTRIES entries.
         """
         waiting = [os.fspath(folder)]
         while waiting:
             for entry in _listed(waiting.pop()):
                 self._listed += 1
                 if self._listed > MAX_ENTRIES:
-                    raise FolderSizeError(folder)
+                    raise _too_many(folder)
                 if _is_folder(entry):
                     waiting.append(entry.path)
                 else:

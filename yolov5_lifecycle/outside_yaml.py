@@ -16,10 +16,6 @@ MAX_VALUES = 500_000
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class OutsideYamlError(ValueError):
-    """No YAML, or more than the limits allow; says what was found, and in which line."""
-
-
 class PlainText(str):
     """A text without quotes."""
 
@@ -30,13 +26,13 @@ def texts_of(data: bytes | str) -> object:
     """The first document in `data` as text, list or mapping; {} if there is none.
 
     Texts are not interpreted. Keys that are no texts are "", and of equal keys the last one counts. Raises
-    OutsideYamlError.
+    ValueError for no YAML, and for more than the limits allow; it says in which line.
     """
     events = _bounded(data)
     try:
         return next((_value(events, event, 0) for event in events if _begins(event)), {})
     except (yaml.YAMLError, ValueError) as error:
-        raise OutsideYamlError(in_one_line(str(error)).removesuffix(".")) from None
+        raise ValueError(in_one_line(str(error)).removesuffix(".")) from None
 
 
 def _bounded(data: bytes | str) -> Iterator[yaml.Event]:
@@ -44,9 +40,9 @@ def _bounded(data: bytes | str) -> Iterator[yaml.Event]:
     for event in yaml.parse(data, Loader=_LOADER):
         count += _begins(event)
         if count > MAX_VALUES:
-            raise OutsideYamlError(f"more than {MAX_VALUES:,} values")
+            raise ValueError(f"more than {MAX_VALUES:,} values")
         if isinstance(event, yaml.AliasEvent):
-            raise OutsideYamlError(f"line {_line(event)}: an alias (*{event.anchor}): write the value again")
+            raise ValueError(f"line {_line(event)}: an alias (*{event.anchor}): write the value again")
         yield event
 
 
@@ -62,7 +58,7 @@ def _line(event: yaml.Event) -> int:
 def _value(events: Iterator[yaml.Event], event: yaml.Event, depth: int) -> object:
     """The text, list or mapping that begins with `event`."""
     if depth > MAX_DEPTH:
-        raise OutsideYamlError(f"line {_line(event)}: nested more than {MAX_DEPTH} deep")
+        raise ValueError(f"line {_line(event)}: nested more than {MAX_DEPTH} deep")
     if isinstance(event, yaml.ScalarEvent):
         return PlainText(event.value) if event.implicit[0] else event.value
     if isinstance(event, yaml.SequenceStartEvent):

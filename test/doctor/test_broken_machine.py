@@ -9,108 +9,113 @@ import venv
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
-from support.doctor_process import doctor, of, planted
+import torch
+from support.doctor_process import doctor, first_on_path, of, planted
 from support.recorded_scene import video
 
-from yolov5_lifecycle.doctor.finding import Machine
-from yolov5_lifecycle.doctor.private_names import without_private_names
-from yolov5_lifecycle.doctor.system import CHECKS
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.doctor import inference, system
+from yolov5_lifecycle.doctor.finding import Machine, without_private_names
 
-CPU = "/sys/fs/cgroup/robot.slice/cpu.max"
 GROUP = {"/proc/self/cgroup": "0::/robot.slice/detector\n"}
 KERNEL = "NVRM version: NVIDIA UNIX x86_64 Kernel Module  535.129.03  Thu Oct 19 18:56:32 UTC 2023\n"
 OPEN_KERNEL = "NVRM version: NVIDIA UNIX Open Kernel Module for x86_64  550.54.15  Release Build\n"
-GPU = {"/sys/bus/pci/devices/0000:01:00.0/vendor": "0x10de\n"}
+GPU = "/sys/bus/pci/devices/0000:01:00.0"
 LIBRARY = "/usr/lib/x86_64-linux-gnu/libcuda.so."
+VERSION_1 = {
+    "/sys/fs/cgroup/cpu/cpu.cfs_quota_us": "50000\n",
+    "/sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
+    "/sys/fs/cgroup/memory/memory.limit_in_bytes": "9223372036854771712\n",
+}
 
 
 @pytest.mark.parametrize(
     ("files", "subject", "level", "found", "remedy"),
     [
         pytest.param(
-            {**GROUP, CPU: "50000 100000\n"},
+            {**GROUP, "/sys/fs/cgroup/robot.slice/cpu.max": "50000 100000\n"},
             *("processor", "warning", "the control group allows 0.5", "OMP_NUM_THREADS=1"),
             id="half a processor",
         ),
         pytest.param(
-            {
-                "/sys/fs/cgroup/cpu/cpu.cfs_quota_us": "50000\n",
-                "/sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
-            },
-            *("processor", "warning", "the control group allows 0.5", "--cpus of Docker"),
-            id="half a processor in version 1",
+            VERSION_1, *("processor", "warning", "the control group allows 0.5", "--cpus of"), id="version 1"
         ),
-        pytest.param({**GROUP, CPU: "max 100000\n"}, "processor", "ok", "processors", "", id="no limit"),
+        pytest.param(VERSION_1, "memory", "ok", "not known", "", id="no limit in version 1"),
         pytest.param(
             {**GROUP, "/sys/fs/cgroup/memory.max": f"{256 << 20}\n"},
             *("memory", "error", "0.2 GiB is the limit of the control group", "--memory of Docker"),
             id="little memory for the group",
         ),
         pytest.param(
-            {"/sys/fs/cgroup/memory/memory.limit_in_bytes": "9223372036854771712\n"},
-            *("memory", "ok", "not known", ""),
-            id="no limit in version 1",
-        ),
-        pytest.param(
             {"/proc/meminfo": "MemTotal: 4096000 kB\nMemAvailable: 1048576 kB\n"},
             *("memory", "warning", "1.0 GiB is available", "End other programs"),
             id="little memory",
         ),
+        pytest.param(
+            {"/proc/driver/nvidia/version": KERNEL, f"{LIBRARY}550.54.15": "", f"{LIBRARY}1": ""},
+            *("NVIDIA driver", "error", "driver 535.129.03, libcuda.so is of 550.54.15", "Restart the mach"),
+            id="driver updated, not restarted",
+        ),
+        pytest.param(
+            {"/proc/driver/nvidia/version": OPEN_KERNEL, f"{LIBRARY}550.54.15": ""},
+            *("NVIDIA driver", "ok", "NVIDIA driver 550.54.15", ""),
+            id="a good driver",
+        ),
+        pytest.param(
+            {f"{GPU}/vendor": "0x10de\n", f"{GPU}/class": "0x030000\n"},
+            *("NVIDIA driver", "warning", "an NVIDIA GPU without a driver", "sudo ubuntu-drivers install"),
+            id="no driver",
+        ),
+        pytest.param(
+            {f"{GPU}/vendor": "0x10de\n", f"{GPU}/class": "0x020000\n"},
+            *("NVIDIA driver", "ok", "no NVIDIA GPU", ""),
+            id="a network card of NVIDIA",
+        ),
+        pytest.param(
+            {f"{LIBRARY}550.54.15": ""},
+            *("NVIDIA driver", "warning", "no driver in the kernel", "sudo modprobe nvidia"),
+            id="driver not loaded",
+        ),
     ],
 )
-def test_a_limit_of_the_system_is_found(
+def test_what_is_wrong_with_a_machine_is_found(
     tmp_path: Path, files: Mapping[str, str], subject: str, level: str, found: str, remedy: str
 ) -> None:
-    (finding,) = CHECKS["system"][subject](Machine(planted(tmp_path, files)))
+    checks = system.CHECKS["system"] | system.CHECKS["driver"]
+    (finding,) = checks[subject](Machine(planted(tmp_path, files)))
     assert finding.level == level
     assert found in finding.found
     assert remedy in finding.remedy
 
 
-@pytest.mark.parametrize(
-    ("limits", "subject", "level", "found", "remedy"),
-    [
-        ({"RLIMIT_NOFILE": 64}, "limits", "error", "64 open files", "ulimit -n 4096"),
-        ({"RLIMIT_NOFILE": 512}, "limits", "warning", "512 open files", "ulimit -n 4096"),
-        ({"RLIMIT_AS": 3 << 30}, "memory", "warning", "3.0 GiB of address space", "ulimit -v unlimited"),
-    ],
-    ids=["no files", "few files", "little address space"],
-)
-def test_a_limit_of_the_process_is_found(
-    limits: Mapping[str, int], subject: str, level: str, found: str, remedy: str
+@pytest.mark.parametrize(("files", "level"), [(64, "error"), (512, "warning")], ids=["no files", "few files"])
+def test_a_limit_of_the_process_is_found_and_the_cache_left_as_it_was(
+    tmp_path: Path, files: int, level: str
 ) -> None:
-    row = of(doctor("--only", "system", limits=limits), subject)
-    assert (row.level, row.found) == (level, found)
-    assert remedy in row.remedy
-
-
-def test_a_cache_is_tried_and_left_as_it_was(tmp_path: Path) -> None:
-    row = of(doctor("--only", "system", environment={"XDG_CACHE_HOME": str(tmp_path)}), "cache")
-    assert row.level in ("ok", "warning")  # the disk may be full
-    assert without_private_names(f"{tmp_path}/yolov5_lifecycle/choices can be written") in row.found
+    limits = {"RLIMIT_NOFILE": files, "RLIMIT_AS": 3 << 30}
+    rows = doctor("--only", "system", limits=limits, environment={"XDG_CACHE_HOME": str(tmp_path)})
+    row = of(rows, "limits")
+    assert (row.level, row.found) == (level, f"{files} open files")
+    assert "ulimit -n 4096" in row.remedy
+    row = of(rows, "memory")
+    assert (row.level, row.found) == ("warning", "3.0 GiB of address space")
+    assert "ulimit -v unlimited" in row.remedy
+    assert without_private_names(f"{tmp_path}/yolov5_lifecycle/choices can be") in of(rows, "cache").found
     assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
-
-
-def test_a_cache_that_cannot_be_written_is_found(tmp_path: Path) -> None:
-    (tmp_path / "cache").write_text("a file where a folder should be")
-    row = of(doctor("--only", "system", environment={"XDG_CACHE_HOME": f"{tmp_path}/cache"}), "cache")
-    assert row.level == "warning"
-    assert "cannot be written" in row.found
-    assert "set XDG_CACHE_HOME to another folder" in row.remedy
 
 
 def test_a_second_numpy_on_the_path_is_found(tmp_path: Path) -> None:
     planted(tmp_path, {"numpy/__init__.py": "__version__ = '1.21.0'\n"})
-    rows = doctor("--only", "packages", environment={"PYTHONPATH": str(tmp_path)})
-    row = of(rows, "duplicates")
+    rows = doctor("--only", "packages", environment=first_on_path(tmp_path))
+    row, folder = of(rows, "duplicates"), without_private_names(str(tmp_path))
     assert row.level == "warning"
-    assert row.found.startswith(f"numpy is loaded from {without_private_names(str(tmp_path))} and hides ")
-    assert row.remedy.startswith(f"Remove {without_private_names(str(tmp_path))} from PYTHONPATH")
+    assert row.found.startswith(f"numpy is loaded from {folder} and hides ")
+    assert row.remedy.startswith(f"Remove {folder} from PYTHONPATH")
     assert of(rows, "packages").found == "numpy 1.21.0, expected 1.26 or newer"
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("program", "found"),
     [
@@ -120,11 +125,11 @@ def test_a_second_numpy_on_the_path_is_found(tmp_path: Path) -> None:
 )
 def test_a_package_that_fails_when_imported_is_one_line(tmp_path: Path, program: str, found: str) -> None:
     planted(tmp_path, {"numpy/__init__.py": program})
-    rows = doctor("--only", "packages", environment={"PYTHONPATH": str(tmp_path)})
+    rows = doctor("--only", "packages", environment=first_on_path(tmp_path))
     row = of(rows, "packages")
     assert row.level == "error"
     assert found in row.found
-    assert of(rows, "duplicates").level == "warning"  # the checks behind it were made
+    assert of(rows, "duplicates").level == "warning"  # it was made before
 
 
 def test_pips_opencv_in_front_of_apts_is_found(tmp_path: Path) -> None:
@@ -143,45 +148,6 @@ def test_pips_opencv_in_front_of_apts_is_found(tmp_path: Path) -> None:
     row = of(rows, "OpenCV")
     assert row.found.startswith("opencv-contrib-python and opencv-python are in the same folder cv2")
     assert "then install opencv-python-headless" in row.remedy
-
-
-@pytest.mark.parametrize(
-    ("files", "level", "found", "remedy"),
-    [
-        pytest.param(
-            {"/proc/driver/nvidia/version": KERNEL, f"{LIBRARY}550.54.15": "", f"{LIBRARY}1": ""},
-            *("error", "driver 535.129.03, libcuda.so is of 550.54.15", "Restart the machine"),
-            id="driver updated, not restarted",
-        ),
-        pytest.param(
-            {"/proc/driver/nvidia/version": OPEN_KERNEL, f"{LIBRARY}550.54.15": ""},
-            *("ok", "NVIDIA driver 550.54.15", ""),
-            id="a good driver",
-        ),
-        pytest.param(
-            {**GPU, "/sys/bus/pci/devices/0000:01:00.0/class": "0x030000\n"},
-            *("warning", "an NVIDIA GPU without a driver", "sudo ubuntu-drivers install"),
-            id="no driver",
-        ),
-        pytest.param(
-            {**GPU, "/sys/bus/pci/devices/0000:01:00.0/class": "0x020000\n"},
-            *("ok", "no NVIDIA GPU", ""),
-            id="a network card of NVIDIA",
-        ),
-        pytest.param(
-            {f"{LIBRARY}550.54.15": ""},
-            *("warning", "no driver in the kernel", "sudo modprobe nvidia"),
-            id="driver not loaded",
-        ),
-    ],
-)
-def test_the_two_halves_of_the_gpu_driver_are_compared(
-    tmp_path: Path, files: Mapping[str, str], level: str, found: str, remedy: str
-) -> None:
-    (finding,) = CHECKS["driver"]["NVIDIA driver"](Machine(planted(tmp_path, files)))
-    assert finding.level == level
-    assert found in finding.found
-    assert remedy in finding.remedy
 
 
 def test_a_damaged_library_of_cuda_is_found(tmp_path: Path) -> None:
@@ -217,15 +183,63 @@ def test_a_camera_that_never_delivers_hangs_nothing(tmp_path: Path) -> None:
     assert "Plug the camera in again" in row.remedy
 
 
-def test_a_machine_without_cameras_has_no_line_about_them(tmp_path: Path) -> None:
-    assert doctor("--only", "camera", root=tmp_path) == []
-
-
 @pytest.mark.long  # it imports torch
 def test_a_runtime_that_cannot_be_imported_is_found(tmp_path: Path) -> None:
     planted(tmp_path, {"onnxruntime/__init__.py": "raise RuntimeError('planted')"})
-    rows = doctor("--only", "runtime", "--time", "600", environment={"PYTHONPATH": str(tmp_path)})
+    rows = doctor("--only", "runtime", "--time", "600", environment=first_on_path(tmp_path))
     row = of(rows, "runtime onnxruntime")
     assert (row.level, row.found) == ("error", "RuntimeError: planted")
     assert "pip install --force-reinstall onnxruntime" in row.remedy
     assert of(rows, "runtime openvino").level == "ok"
+
+
+Row = tuple[int, float, tuple[float, float, float, float]]
+CIRCLE: Row = (0, 0.9, (10, 10, 50, 50))
+STAR: Row = (3, 0.8, (100, 10, 150, 60))
+
+
+def detections(*rows: Row) -> Detections:
+    return Detections(
+        np.array([box for _, _, box in rows], np.float32).reshape(-1, 4),
+        np.array([score for _, score, _ in rows], np.float32),
+        np.array([class_id for class_id, _, _ in rows], np.int64),
+    )
+
+
+@pytest.mark.parametrize(
+    ("found", "problem"),
+    [
+        pytest.param([(0, 0.905, (10.5, 10, 50, 50)), STAR], "", id="nearly equal"),
+        pytest.param([CIRCLE, STAR, (1, 0.255, (0, 0, 9, 9))], "", id="on the threshold"),
+        pytest.param([], "it lacks circle 0.90 at [10, 10, 50, 50]", id="none"),
+        pytest.param([CIRCLE, STAR, (1, 0.5, (0, 0, 9, 9))], "it also has square 0.50", id="one more"),
+        pytest.param([(1, 0.9, (10, 10, 50, 50)), STAR], "it lacks circle", id="another class"),
+        pytest.param([(0, 0.9, (12, 10, 50, 50)), STAR], "it lacks circle", id="elsewhere"),
+        pytest.param([(0, 0.85, (10, 10, 50, 50)), STAR], "it lacks circle", id="another score"),
+    ],
+)
+def test_two_results_are_compared(found: list[Row], problem: str) -> None:
+    told = inference.difference(detections(CIRCLE, STAR), detections(*found), inference.EXACT)
+    assert told.startswith(problem)
+    assert bool(told) == bool(problem)
+
+
+def test_the_network_finds_every_shape_of_the_image() -> None:
+    first, *_ = inference.CHECKS["devices"]["forward"](Machine())
+    assert first.found.startswith("cpu fp32: all 6 shapes found, ")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="nothing is wrong with the driver of the GPU")
+def test_a_driver_without_a_torch_that_uses_it_is_found(tmp_path: Path) -> None:
+    (finding,) = inference.CHECKS["devices"]["torch"](Machine(tmp_path))
+    assert (finding.level, finding.found.rpartition(", ")[2]) == ("ok", "on the CPU only")
+    planted(tmp_path, {"/proc/driver/nvidia/version": "Kernel Module  535.129.03\n"})
+    (finding,) = inference.CHECKS["devices"]["torch"](Machine(tmp_path))
+    if torch.version.cuda is None:
+        assert finding.level == "warning"
+        assert finding.found.endswith("has no CUDA, so the GPU is not used")
+        assert "`make install` without TORCH=cpu" in finding.remedy
+    else:
+        assert finding.level == "error"
+        assert "finds no usable GPU: " in finding.found
+        assert "Update NVIDIA's driver" in finding.remedy

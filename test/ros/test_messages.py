@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
@@ -13,7 +14,7 @@ from support.segmented_scene import pixels
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array, masks_message
+from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array, image_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced
 
 CUP = Box3D((0.5, -0.25, 2.0), (0.1, 0.2, 0.05))
@@ -39,47 +40,26 @@ def message(placements: list[Placement]) -> Detection3DArray:
     return deserialize_message(serialize_message(array), Detection3DArray)
 
 
-def test_every_header_has_the_stamp_of_the_2d_array_and_the_frame_of_the_depth_image() -> None:
-    array = message([CUP, CAR])
+def test_stamps_ids_classes_and_scores_are_those_of_the_2d_array() -> None:
     header = Header(stamp=Time(sec=7, nanosec=8), frame_id="depth_optical_frame")
-    assert [array.header, *(detection.header for detection in array.detections)] == [header] * 3
+    array = message([CUP, CAR])
+    assert array.header == header
+    for detection, flat in zip(array.detections, detections_2d().detections, strict=True):
+        assert (detection.header, detection.id) == (header, flat.id)
+        assert [each.hypothesis for each in detection.results] == [each.hypothesis for each in flat.results]
 
 
-def test_ids_classes_and_scores_are_those_of_the_2d_array() -> None:
-    flat, solid = (
-        [
-            (
-                detection.id,
-                [(result.hypothesis.class_id, result.hypothesis.score) for result in detection.results],
-            )
-            for detection in array.detections
-        ]
-        for array in (detections_2d(), message([CUP, CAR]))
-    )
-    assert solid == flat
-    assert [name for name, _ in solid] == ["track 0", "track 1"]
+def test_a_box_is_upright_in_metres_and_its_centre_is_the_pose_of_the_hypothesis() -> None:
+    for detection, box in zip(message([CUP, CAR]).detections, (CUP, CAR), strict=True):
+        centre, size = detection.bbox.center, detection.bbox.size
+        assert (centre.position.x, centre.position.y, centre.position.z) == box.centre_xyz_m
+        assert (size.x, size.y, size.z) == box.size_xyz_m
+        assert centre.orientation == Quaternion(w=1.0)
+        assert detection.results[0].pose.pose == centre
 
 
-@pytest.mark.parametrize(("index", "box"), [(0, CUP), (1, CAR)], ids=["cup", "car"])
-def test_a_box_is_upright_in_metres_and_its_centre_is_the_pose_of_the_hypothesis(
-    index: int, box: Box3D
-) -> None:
-    detection = message([CUP, CAR]).detections[index]
-    centre, size = detection.bbox.center, detection.bbox.size
-    assert (centre.position.x, centre.position.y, centre.position.z) == box.centre_xyz_m
-    assert (size.x, size.y, size.z) == box.size_xyz_m
-    assert (centre.orientation.x, centre.orientation.y, centre.orientation.z, centre.orientation.w) == (
-        0,
-        0,
-        0,
-        1,
-    )
-    assert detection.results[0].pose.pose == centre
-
-
-@pytest.mark.parametrize("reason", Unplaced, ids=lambda reason: reason.value)
-def test_a_detection_without_a_place_is_left_out(reason: Unplaced) -> None:
-    assert [detection.id for detection in message([reason, CAR]).detections] == ["track 1"]
+def test_a_detection_without_a_place_is_left_out() -> None:
+    assert [detection.id for detection in message([next(iter(Unplaced)), CAR]).detections] == ["track 1"]
 
 
 def test_without_detections_the_array_is_empty_but_stamped() -> None:
@@ -97,15 +77,14 @@ def test_placements_of_another_image_are_refused() -> None:
     "label_image",
     [
         pytest.param(np.arange(6, dtype=np.uint16).reshape(2, 3) * 13_000, id="two bytes"),
-        pytest.param(np.arange(12, dtype=np.uint16).reshape(3, 4)[:, ::2], id="a view"),
-        pytest.param(np.arange(6, dtype=np.dtype(">u2")).reshape(2, 3), id="big-endian"),
+        pytest.param(np.arange(12, dtype=np.dtype(">u2")).reshape(3, 4)[:, ::2], id="a big-endian view"),
     ],
 )
 def test_masks_are_an_image_of_16_bits_with_the_header_of_the_source(
     label_image: NDArray[np.uint16],
 ) -> None:
     header = Header(stamp=Time(sec=7, nanosec=8), frame_id="lens")
-    message = deserialize_message(serialize_message(masks_message(label_image, header)), Image)
+    message = deserialize_message(serialize_message(image_message(label_image, "16UC1", header)), Image)
     assert message.header == header
     assert (message.encoding, message.is_bigendian) == ("16UC1", 0)
     assert (message.height, message.width) == label_image.shape

@@ -9,20 +9,15 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
-from support.detector_process import as_arguments, detector_process, parameter_file
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.commands.convert import main as convert
 from yolov5_lifecycle.offline.detect_bag import main as detect_bag
 from yolov5_lifecycle.printable import MAX_LINE, MAX_TEXT, in_lines, in_one_line
-from yolov5_lifecycle.settings.schema import Change
-from yolov5_lifecycle.settings.settings import SETTINGS
 
 ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n[INFO] [1.0] [yolov5]: forged\u202egnp.\u2066\u200b\x00\x08\x7f"
 MARK = "hostile"
@@ -51,13 +46,10 @@ def is_safe(line: str) -> bool:
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
-        pytest.param("👩\u200d👧", "👩\u200d👧", id="emoji"),
         pytest.param("می\u200cشود", "می\u200cشود", id="Persian"),
         pytest.param("c\u200dat", "c?at", id="between ASCII"),
-        pytest.param("é\u200c", "é?", id="at the end"),
         pytest.param("\u200cé", "?é", id="at the beginning"),
         pytest.param("é\u200d\u200dé", "é??é", id="two"),
-        pytest.param("é\u202e\u200dé", "é??é", id="beside another"),
         pytest.param("é\u200bé", "é?é", id="another character without width"),
     ],
 )
@@ -96,82 +88,47 @@ def escaped(text: str) -> str:
     return repr(text[max(0, bad - 80) : bad + 20]) if bad is not None else "".join(forged[:1])
 
 
-def test_foreign_text_of_a_request_is_printable_in_answer_log_and_diagnostics(ros_domain: int) -> None:
-    with ServedNode(Preparations()) as served:
+def test_foreign_text_is_printable_in_answers_log_and_diagnostics(ros_domain: int, tmp_path: Path) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(f'"/**": {{ros__parameters: {{"{MARK}\\e[31m": 1, classes: ["{MARK}\\e[2J"]}}}}')
+    prepare = Preparations()
+    with ServedNode(prepare, arguments=["--ros-args", "--params-file", str(file)]) as served:
+        shown = [served.status().message] if not served.transition("configure") else []
+        (dropped,) = served.set_one_by_one([Parameter(f"{MARK}\x1b[31m").to_parameter_msg()])
+        assert dropped.successful
         refused = [served.set(weights=HOSTILE, iou_threshold=HOSTILE), served.set(**{MARK + ESCAPES: LONG})]
         assert [done for done, _ in refused] == [False, False]
         assert not served.transition(HOSTILE)
         assert served.set(weights=HOSTILE, classes=[LONG]) == (True, "")
         assert served.transition("configure")
         served.wait_for_log("configured with")
-        values = served.values()
-        shown = [*(reason for _, reason in refused), *served.log, *values, *values.values()]
-    assert sum(MARK in text for text in shown) > 3
-    assert [found for text in shown if (found := escaped(text))] == []
-
-
-@pytest.mark.long
-def test_foreign_text_is_printable_in_every_output_of_the_process(tmp_path: Path) -> None:
-    file = parameter_file(tmp_path, f'"{MARK}\\e[31m": 1\nclasses: ["{MARK}\\e[2J"]')
-    with detector_process(*file, *as_arguments({"device": "cpu", "lazy": False})) as detector:
-        told: list[str] = []
-        kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        detector.observer.create_subscription(Log, "/rosout", lambda log: told.append(log.msg), kept)
-
-        def diagnose() -> None:
-            values = detector.status()
-            told.extend([*values, *values.values()])
-            assert sum(map(len, values.values())) < 50_000
-
-        def ask(text: str) -> None:
-            names = [setting.name for setting in SETTINGS if setting.change is not Change.READ_ONLY]
-            for value in (text, [text] * 3):
-                parameters = [Parameter(name, value=value) for name in [*names, text[:200]]]
-                results = detector.set_one_by_one([each.to_parameter_msg() for each in parameters])
-                told.extend(result.reason for result in results)
-                assert all(len(result.reason) < 10_000 for result in results)
-            detector.transition(text)
-
-        assert not detector.transition("configure")  # the file
-        diagnose()
-        for text in (HOSTILE, LONG):
-            ask(text)
-            detector.transition("configure")
-            diagnose()
-        detector.set_one_by_one(
-            [Parameter(f"{MARK}\x1b[31m").to_parameter_msg()]
-        )  # drops the one of the file
-        detector.reset()
-        detector.bring_to("inactive")
-        for text in (HOSTILE, LONG):
-            for name, value in (("classes", [text] * 3), ("weights", text)):
-                detector.set_one_by_one([Parameter(name, value=value).to_parameter_msg()])
-                assert not detector.transition("activate")
-                diagnose()
-                detector.reset()
-                detector.bring_to("inactive")
-        detector.bring_to("active")
-        ask(HOSTILE)
-        for count, text in enumerate((HOSTILE, LONG), start=1):
-            header = Header(frame_id=text)
-            detector.publish(Image(header=header, encoding=text, height=1, width=1, data=array("B", [0])))
-            detector.wait_until_rejected(count)
-            diagnose()
-        compressed = detector.observer.create_publisher(CompressedImage, "/yolov5/image_raw/compressed", 1)
-        assert detector.node.set_parameters(image_transport="compressed") == ""
-        rejected = int(detector.status()["frames rejected"])
+        prepare.refusal = HOSTILE
+        assert not served.transition("activate")
+        shown += [served.status().message]
+        prepare.refusal = ""
+        assert served.set(classes=["cat"]) == (True, "")
+        assert served.transition("activate")
+        header = Header(frame_id=HOSTILE)
+        for encoding in (HOSTILE, LONG):
+            bad = Image(header=header, encoding=encoding, height=1, width=1, data=array("B", [0]))
+            served.publish(bad)
+            served.wait_for(lambda: MARK in served.status().message, "the rejected image")
+            shown += [served.status().message]
+        assert served.set(image_transport="compressed") == (True, "")
+        compressed = served.client.create_publisher(CompressedImage, "/yolov5/image_raw/compressed", 1)
+        rejected = served.counts()["rejected"]
 
         def is_rejected() -> bool:
-            compressed.publish(CompressedImage(header=Header(frame_id=HOSTILE), format=LONG, data=[1, 2]))
-            return int(detector.status()["frames rejected"]) > rejected
+            compressed.publish(CompressedImage(header=header, format=LONG, data=[1, 2]))
+            return served.counts()["rejected"] > rejected
 
-        detector.observer.wait_for(is_rejected, "the rejected compressed image")
-        diagnose()
-        assert sum(MARK in text for text in told) > 20
-        output = detector.process.output
-    assert [found for text in told if (found := escaped(text))] == []
-    assert all(line.isprintable() for line in output.split("\n"))
-    assert not any(line.startswith("[INFO] [1.0]") for line in output.split("\n"))
+        served.wait_for(is_rejected, "the rejected compressed image")
+        values = served.values()
+        assert sum(map(len, values.values())) < 50_000
+        shown += [*(reason for _, reason in refused), *served.log, *values, *values.values()]
+        assert served.escaped == []
+    assert sum(MARK in text for text in shown) > 9
+    assert [found for text in shown if (found := escaped(text))] == []
 
 
 @pytest.mark.parametrize(

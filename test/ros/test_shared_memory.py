@@ -18,7 +18,6 @@ from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.shared_memory import (
     PROCESS_BYTES,
     TRACER_BYTES,
-    free_bytes,
     shared_memory_problems,
     warn_before_import,
 )
@@ -31,16 +30,12 @@ def problems(free: int, **variables: str) -> list[str]:
     return shared_memory_problems(FOLDER, environment=variables, free=lambda _: free)
 
 
-@pytest.mark.parametrize("free", [0, 1, 372_736, PROCESS_BYTES - 1])
+@pytest.mark.parametrize("free", [0, PROCESS_BYTES - 1])
 def test_too_little_memory_is_reported_with_the_need_and_the_remedy(free: int) -> None:
     (problem,) = problems(free)
     assert problem.startswith(f"/shared has {free >> 10} KiB free and Fast DDS needs 656 KiB")
     assert all(remedy in problem for remedy in ("--shm-size", "--ipc=host", "fastdds shm clean"))
-
-
-@pytest.mark.parametrize("free", [PROCESS_BYTES, 1 << 40])
-def test_enough_memory_gets_no_warning(free: int) -> None:
-    assert problems(free) == []
+    assert problems(PROCESS_BYTES) == []
 
 
 @pytest.mark.parametrize("variable", ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"])
@@ -86,11 +81,6 @@ def test_a_full_folder_is_reported_before_it_kills_the_tracer(
     assert capsys.readouterr().err == "", "its files are there already"
 
 
-def test_what_is_free_is_what_the_system_says(tmp_path: Path) -> None:
-    statistics = os.statvfs(tmp_path)
-    assert 0 <= free_bytes(tmp_path) <= statistics.f_blocks * statistics.f_frsize
-
-
 # Real processes whose /dev/shm is small
 
 
@@ -111,14 +101,11 @@ def _mount(size: str, command: list[str]) -> str:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "ready"), [("detector", "next step: "), ("camera", "KiB free")])
-def test_a_process_with_too_little_says_so_and_works(
-    small: list[str], ros_domain: int, name: str, ready: str
-) -> None:
-    command = ["sh", "-c", f'echo "number $$"; exec {shlex.quote(entry_point(name))}']
-    with ChildProcess(name, [*small, _mount("300k", command)], environment(ros_domain)) as process:
+def test_a_process_with_too_little_says_so_and_works(small: list[str], ros_domain: int) -> None:
+    command = ["sh", "-c", f'echo "number $$"; exec {shlex.quote(entry_point("detector"))}']
+    with ChildProcess("detector", [*small, _mount("300k", command)], environment(ros_domain)) as process:
         process.wait_for_output("KiB free", PATIENCE_S)
-        process.wait_for_output(ready, PATIENCE_S)
+        process.wait_for_output("next step: ", PATIENCE_S)
         number = int(process.output.partition("number ")[2].split()[0])
         os.kill(number, signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import subprocess
 import sys
 
 import pytest
 
-from yolov5_lifecycle.settings.schema import Change, Setting, SettingsError
+from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, Settings, validated
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 
@@ -18,34 +17,20 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
     ("values", "problem"),
     [
         pytest.param({"confidence_threshold": 1.5}, "1.5 is not a number from 0 to 1", id="above-range"),
-        pytest.param({"confidence_threshold": -0.1}, "-0.1 is not a number from 0 to 1", id="below-range"),
         pytest.param({"confidence_threshold": math.nan}, "nan is not a number", id="nan"),
-        pytest.param({"max_rate": math.inf}, "inf is not a number", id="infinity"),
         pytest.param({"confidence_threshold": True}, "true is not a number", id="bool-for-number"),
         pytest.param({"confidence_threshold": "0.5"}, "'0.5' is not a number", id="text-for-number"),
-        pytest.param({"max_detections": 0}, "0 is not an integer from 1", id="no-detections"),
         pytest.param({"max_detections": 2.5}, "2.5 is not an integer", id="fraction-for-count"),
-        pytest.param({"image_size": True}, "true is not an integer", id="bool-for-count"),
         pytest.param({"image_size": 650}, "a multiple of 32", id="no-multiple-of-a-stride"),
         pytest.param({"lazy": 1}, "1 is not true or false", id="number-for-bool"),
         pytest.param({"model_size": "xl"}, "Did you mean 'x'?", id="misspelt-choice"),
         pytest.param({"device": "gpu"}, "Did you mean 'cuda'?", id="gpu"),
         pytest.param({"device": "cuda:one"}, "must be auto, cpu, cuda", id="device-index-in-words"),
         pytest.param({"weights_sha256": "abc"}, "64 hexadecimal digits", id="short-digest"),
-        pytest.param({"weights_sha256": "g" * 64}, "64 hexadecimal digits", id="no-hex-digest"),
         pytest.param({"weights_dirs": ("/a", "b")}, "['/a', 'b'] must be absolute", id="relative-folder"),
-        pytest.param({"weights_dirs": ("",)}, "must be absolute", id="nameless-folder"),
-        pytest.param(
-            {"weights_dirs": "/a"}, "'/a' is not a list of at most 100 strings", id="folder-without-list"
-        ),
-        pytest.param({"weights": 3}, "3 is not a string", id="number-for-path"),
         pytest.param({"classes": ("a", 3)}, "['a', 3] is not a list of at most", id="number-among-classes"),
-        pytest.param({"classes": ("a", 3, 4)}, "['a', 3, 4] is not", id="two-numbers-among-classes"),
         pytest.param({"autostart": "yes"}, "restart the node with another value", id="read-only"),
-        pytest.param({"weights_dirs": ("a",)}, "restart the node with another value", id="read-only-folders"),
-        pytest.param({"classes": "star"}, "Did you mean [star]?", id="class-without-list"),
         pytest.param({"classes": "[2, square]"}, 'Did you mean ["2", square]?', id="index-and-name"),
-        pytest.param({"classes": (1.5,) * 10_000}, "is not a list of at most", id="numbers-instead-of-texts"),
         pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 strings", id="huge-list"),
         pytest.param({"classes": ("cat", "x" * 201)}, "of at most 200 characters", id="long-class"),
         pytest.param(
@@ -54,10 +39,6 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param({"class_thresholds": ("person",)}, "'person' is not a class name", id="no-threshold"),
         pytest.param({"class_thresholds": (": 0.5",)}, "': 0.5' is not a class name", id="nameless-class"),
         pytest.param({"class_thresholds": ("a: 1.5",)}, "a number from 0 to 1, as in", id="high-threshold"),
-        pytest.param({"class_thresholds": ("a: -0.1",)}, "a number from 0 to 1", id="negative-threshold"),
-        pytest.param({"class_thresholds": ("a: nan",)}, "a number from 0 to 1", id="threshold-nan"),
-        pytest.param({"class_thresholds": ("a: 0x1",)}, "a number from 0 to 1", id="hexadecimal-threshold"),
-        pytest.param({"class_thresholds": ("a: " + "0" * 99,)}, "a number from 0", id="endless-threshold"),
         pytest.param(
             {"class_thresholds": ("a: 0.5", " a :0.4")}, "'a' has more than one threshold", id="twice"
         ),
@@ -70,13 +51,8 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param({"regions": ("0,0 1,0 1,1", "0,0 1,1")}, "entry 2 has 2 points", id="second-region"),
         pytest.param({"regions": ("0.1", "0.2 0.9", "1")}, "entry 1 has '0.1' as point 1", id="split"),
         pytest.param({"ignore_regions": ("0,0 2,0 1,1",)}, "entry 1 has point 2 at 2,0", id="outside"),
-        pytest.param({"regions": ("0,0 1,0 1,1",) * 33}, "a list of at most 32 strings", id="many-regions"),
-        pytest.param({"regions": "0,0 1,0 1,1"}, 'Did you mean ["0,0 1,0 1,1"]?', id="region-without-list"),
         pytest.param({"regions": "[0,0 1,0 1,1]"}, 'Did you mean ["0,0 1,0 1,1"]?', id="region-unquoted"),
-        pytest.param({"region_anchor": "centre"}, "Did you mean 'center'?", id="anchor"),
-        pytest.param({"min_box_size": -1.0}, "-1.0 is not a number from 0 to 16384", id="negative-size"),
         pytest.param({"weights_dir": ""}, "'' is not a string of 1 to 4096 characters", id="empty-folder"),
-        pytest.param({"weights": "a" * 5000}, "a string of at most 4096 characters", id="endless-path"),
     ],
 )
 def test_a_broken_rule_is_named_with_field_value_and_rule(values: dict[str, object], problem: str) -> None:
@@ -89,17 +65,12 @@ def test_a_broken_rule_is_named_with_field_value_and_rule(values: dict[str, obje
 
 @pytest.mark.parametrize(
     "value",
-    ["x" * 1_000_000, ("x" * 1_000_000,) * 3, (0.1,) * 1_000_000, ("\n",) * 10_000, 1.5, ()],
-    ids=lambda value: type(value).__name__,
+    ["x" * 1_000_000, ("x" * 1_000_000,) * 3, ("\n",) * 10_000],
+    ids=["a string", "long strings", "many strings"],
 )
-@pytest.mark.parametrize("name", SETTINGS_BY_NAME)
-def test_a_refusal_is_short_whatever_was_given(name: str, value: object) -> None:
-    with contextlib.suppress(SettingsError):
-        validated({name: value})
-        return
-    with pytest.raises(SettingsError) as refusal:
-        validated({name: value})
-    assert len(str(refusal.value)) < 500
+def test_a_refusal_is_short_whatever_was_given(value: object) -> None:
+    for name in SETTINGS_BY_NAME:
+        assert len(str(SCHEMA.problem(name, value))) < 500, name
 
 
 def test_an_unknown_name_is_shown_in_one_short_line() -> None:
@@ -147,18 +118,12 @@ def test_an_option_that_is_no_parameter_is_answered_with_its_replacement() -> No
         pytest.param(
             {"runtime": "torch", "precision": "int8"}, "int8.*runtime is 'torch'", id="int8-in-torch"
         ),
-        pytest.param(
-            {"runtime": "onnxruntime", "precision": "bf16"}, "bf16.*needs OpenVINO", id="bf16-in-onnxruntime"
-        ),
         pytest.param({"model_size": "n6", "image_size": 672}, "multiple of 64.*640 or 704", id="p6-stride"),
         pytest.param(
             {"track_low_threshold": 0.3}, "track_low_threshold: 0.3 is above track_high.*0.25", id="low-track"
         ),
         pytest.param(
             {"min_box_size": 0.5, "max_box_size": 0.4}, "0.5 is above max_box_size, 0.4", id="sizes-fractions"
-        ),
-        pytest.param(
-            {"min_box_size": 50.0, "max_box_size": 40.0}, "50 is above max_box_size, 40", id="sizes-pixels"
         ),
     ],
 )
@@ -179,12 +144,6 @@ def test_a_tracker_without_scipy_is_refused_with_the_remedy() -> None:
     assert run.stdout.startswith("tracker: 'bytetrack' needs scipy. ")
     assert f"{sys.executable} -m pip install scipy" in run.stdout
     assert run.stdout.endswith("sudo apt install python3-scipy, or use the tracker 'none'.\n")
-
-
-def test_every_contradiction_is_reported_at_once() -> None:
-    with pytest.raises(SettingsError) as refusal:
-        validated({"device": "cpu", "precision": "fp16", "model_size": "n6", "image_size": 672})
-    assert [problem.setting for problem in refusal.value.problems] == ["precision", "image_size"]
 
 
 def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
@@ -214,21 +173,9 @@ def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[
     assert validated(given).model_dump() == Settings().model_dump() | kept
 
 
-def test_differing_names_only_settings_of_the_asked_kind() -> None:
-    changed = validated({"device": "cpu", "confidence_threshold": 0.5})
-    assert Settings().differing(changed, Change.RELOAD) == ["device"]
-    assert Settings().differing(changed, Change.LIVE) == ["confidence_threshold"]
-
-
-def test_the_digest_names_the_configuration() -> None:
-    assert Settings().digest() == validated({}).digest()
-    assert Settings().digest() != validated({"lazy": False}).digest()
-
-
-@pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.name)
-def test_every_setting_says_what_a_user_needs(setting: Setting) -> None:
-    assert setting.description.endswith(".")
-    assert setting.allowed
-    assert "None" not in setting.allowed
-    assert (setting.minimum is None) == (setting.maximum is None)
-    assert validated({setting.name: setting.default}) == Settings()
+def test_every_setting_says_what_a_user_needs() -> None:
+    for setting in SETTINGS:
+        assert setting.description.endswith("."), setting.name
+        assert "None" not in setting.allowed, setting.name
+        assert (setting.minimum is None) == (setting.maximum is None), setting.name
+        assert validated({setting.name: setting.default}) == Settings(), setting.name

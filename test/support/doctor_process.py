@@ -8,7 +8,9 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+
+from support.colcon_workspace import REPOSITORY
+from yolov5_lifecycle.doctor.finding import Finding
 
 _PROGRAM = """
 import resource, sys
@@ -23,50 +25,32 @@ sys.exit(main(words, root=Path(root)))
 """
 
 
-class Row(NamedTuple):
-    """A line of the report."""
-
-    subject: str
-    level: str
-    found: str
-    remedy: str
-
-
 def command(
-    *words: str,
-    root: Path = Path("/"),
-    limits: Mapping[str, int] = {},
-    python: Path | str = sys.executable,
+    *words: str, root: Path = Path("/"), limits: Mapping[str, int] = {}, python: Path | str = sys.executable
 ) -> list[str]:
     """The command line of `doctor` with the arguments `words`; other arguments as below."""
     return [str(python), "-c", _PROGRAM, str(root), repr(dict(limits)), *words]
 
 
-def doctor(
-    *words: str,
-    root: Path = Path("/"),
-    environment: Mapping[str, str] = {},
-    limits: Mapping[str, int] = {},
-    python: Path | str = sys.executable,
-) -> list[Row]:
+def doctor(*words: str, environment: Mapping[str, str] = {}, **machine: object) -> list[Finding]:
     """The report with the arguments `words`; the exit code is that of a report with or without errors.
 
-    `limits`: by name, such as RLIMIT_NOFILE. `root`: the machine's, see `main`.
+    `machine`: the `limits` by name, such as RLIMIT_NOFILE, the `root`, see `main`, and the `python`.
     """
     run = subprocess.run(
-        command("--json", *words, root=root, limits=limits, python=python),
+        command("--json", *words, **machine),  # type: ignore[arg-type]
         env=os.environ | environment,
         capture_output=True,
         text=True,
         check=False,
     )
     assert run.stdout, run.stderr
-    rows = [Row(**line) for line in json.loads(run.stdout)["lines"]]
+    rows = [Finding(**line) for line in json.loads(run.stdout)["lines"]]
     assert run.returncode == any(row.level == "error" for row in rows), run.stderr
     return rows
 
 
-def of(rows: Sequence[Row], subject: str) -> Row:
+def of(rows: Sequence[Finding], subject: str) -> Finding:
     """The first line about `subject` that is not ok, else the first one about it."""
     about = [row for row in rows if row.subject == subject]
     assert about, rows
@@ -80,3 +64,8 @@ def planted(root: Path, files: Mapping[str, str]) -> Path:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(content)
     return root
+
+
+def first_on_path(folder: Path) -> dict[str, str]:
+    """Environment of a process that imports from `folder` first."""
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{REPOSITORY}"}

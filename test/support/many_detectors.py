@@ -18,7 +18,7 @@ from support.preparations import Preparations
 from support.worker import worker_domain
 from yolov5_lifecycle.ros.child_process import ChildProcess
 from yolov5_lifecycle.ros.detector.node import DetectorNode
-from yolov5_lifecycle.ros.spin import stop_event
+from yolov5_lifecycle.ros.nodes import stop_event
 
 NAMES = tuple(f"/detector_{number:02}" for number in range(12))
 ACTIVE, REFUSED, UNCONFIGURED = NAMES[:3]

@@ -11,10 +11,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser, version_line
-from yolov5_lifecycle.doctor.examination import NAMES, TIME_S, Examination, examine, planned
-from yolov5_lifecycle.doctor.finding import Finding, error
-from yolov5_lifecycle.doctor.private_names import without_private_names
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.doctor.examination import NAMES, TIME_S, examine, planned
+from yolov5_lifecycle.doctor.finding import Finding, error, public
 from yolov5_lifecycle.process.standard_streams import write_output
 
 EXIT_ERRORS = 1
@@ -35,16 +33,19 @@ def main(
     """
     given = _arguments(argv)
     begun_s = now_s()
-    code = 0
+    findings, code = [], 0
+
+    def show(text: str) -> None:
+        nonlocal code
+        code = code or write_output("doctor", text + "\n")
+
     if not given.json:
-        code = write_output("doctor", f"{version_line('doctor')}: takes at most {given.time:g} s\n")
-    findings = []
+        show(f"{version_line('doctor')}: takes at most {given.time:g} s")
     for finding in _examined(root, given.only or NAMES, given.time, now_s):
         findings.append(finding)
-        if not given.json and code == 0:
-            code = write_output("doctor", _as_text(finding) + "\n")
-    end = (_as_json if given.json else _summary)(findings, now_s() - begun_s)
-    code = code or write_output("doctor", end + "\n")
+        if not given.json:
+            show(_as_text(finding))
+    show((_as_json if given.json else _summary)(findings, now_s() - begun_s))
     has_errors = any(finding.level == "error" for finding in findings)
     return code or (EXIT_ERRORS if has_errors else 0)
 
@@ -78,25 +79,17 @@ def _examined(
     """What the examinations find, as soon as each has ended, fit to be published."""
     end_s = now_s() + time_s
     for examination in planned(root):
-        if examination.name in names:
-            yield from map(public, _findings(examination, root, time_s, end_s - now_s()))
-
-
-def _findings(examination: Examination, root: Path, time_s: float, left_s: float) -> list[Finding]:
-    if left_s <= 0:
-        finding = error(
-            f"not examined, because the {time_s:g} s are over",
-            remedy=f"`doctor --only {examination.name}`, or `doctor --time 600` on a slow machine.",
-        )
-        return [replace(finding, subject=str(examination))]
-    patience_s = min(left_s, examination.patience_s * time_s / TIME_S)
-    return examine(examination, root=root, patience_s=patience_s)
-
-
-def public(finding: Finding) -> Finding:
-    """`finding` without names of people and machines, each text one line of printable characters."""
-    found, remedy = (in_one_line(without_private_names(text)) for text in (finding.found, finding.remedy))
-    return Finding(in_one_line(finding.subject), finding.level, found, remedy)
+        if examination.name not in names:
+            continue
+        if (left_s := end_s - now_s()) > 0:
+            patience_s = min(left_s, examination.patience_s * time_s / TIME_S)
+            yield from map(public, examine(examination, root=root, patience_s=patience_s))
+        else:
+            finding = error(
+                f"not examined, because the {time_s:g} s are over",
+                remedy=f"`doctor --only {examination.name}`, or `doctor --time 600` on a slow machine.",
+            )
+            yield replace(finding, subject=str(examination))
 
 
 def _as_text(finding: Finding) -> str:

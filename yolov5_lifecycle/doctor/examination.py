@@ -7,13 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import IO
 
 from yolov5_lifecycle.doctor.finding import Check, Finding, Machine, error
 from yolov5_lifecycle.printable import in_one_line
@@ -77,43 +75,35 @@ def planned(root: Path) -> list[Examination]:
     """All examinations in their order; the cameras come last, because several may take their whole time."""
     found = [device.name for device in (root / "dev").glob("video[0-9]*")]
     names = sorted(found, key=lambda name: (len(name), name))[:MOST_CAMERAS]
-    module = "yolov5_lifecycle.doctor.cameras"
+    module = "yolov5_lifecycle.doctor.system"
     return [*_EXAMINATIONS, *(Examination("camera", module, 10, _CAMERA, f"/dev/{name}") for name in names)]
 
 
 def examine(examination: Examination, *, root: Path, patience_s: float) -> list[Finding]:
     """What the checks found within `patience_s`; then their process and its children are killed.
 
-    If a check ends the process, another process makes the checks behind it.
+    If a check ends the process, those behind it are not made: a group has its riskiest check last.
     """
-    end_s = time.monotonic() + patience_s
-    findings: list[Finding] = []
-    begun: list[str] = []
-    while True:
-        left_s = max(0.0, end_s - time.monotonic())
-        code, answer, last_words = _run(examination, root, len(begun), left_s)
-        rows = [json.loads(line) for line in answer.split("\n")[:-1]]
-        findings += [Finding(*row) for row in rows if len(row) > 1]
-        if [] in rows:
-            return findings
-        subjects = [row[0] for row in rows if len(row) == 1]
-        found = f"{_reason(code, left_s)}. {_shortened(last_words)}".removesuffix(". ")
-        failure = error(found, remedy=examination.suspect.format(**vars(examination)))
-        findings.append(replace(failure, subject=subjects[-1] if subjects else str(examination)))
-        begun += subjects
-        if code is None or not subjects:
-            return findings
+    code, answer, last_words = _run(examination, root, patience_s)
+    rows = [json.loads(line) for line in answer.split("\n")[:-1]]
+    findings = [Finding(*row) for row in rows if len(row) > 1]
+    if [] not in rows:
+        subjects = [row[0] for row in rows if len(row) == 1] or [str(examination)]
+        failure = error(
+            _early_end(code, patience_s, last_words), remedy=examination.suspect.format(**vars(examination))
+        )
+        findings.append(replace(failure, subject=subjects[-1]))
+    return findings
 
 
-def _run(
-    examination: Examination, root: Path, skipped: int, patience_s: float
-) -> tuple[int | None, str, str]:
+def _run(examination: Examination, root: Path, patience_s: float) -> tuple[int | None, str, str]:
     """The exit code, None for none within `patience_s`, and the whole stdout and stderr.
 
     They are files in memory: a pipe ends only with all that the process has started, and a disk may be full.
     """
-    words = [sys.argv[0], examination.module, examination.name, str(root), examination.target, str(skipped)]
-    with _file_in_memory("stdout") as answer, _file_in_memory("stderr") as last_words:
+    words = [sys.argv[0], examination.module, examination.name, str(root), examination.target]
+    answer, last_words = (os.fdopen(os.memfd_create(name), "w+b") for name in ("stdout", "stderr"))
+    with answer, last_words:
         process = subprocess.Popen(
             [sys.executable, "-c", _PROGRAM, *words],
             stdin=subprocess.DEVNULL,
@@ -130,31 +120,24 @@ def _run(
                 os.killpg(process.pid, signal.SIGKILL)
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_DEATH_S)
-        return code, _text(answer), _text(last_words)
+        for file in (answer, last_words):
+            file.seek(0)
+        return code, answer.read().decode(errors="replace"), last_words.read().decode(errors="replace")
 
 
-def _file_in_memory(name: str) -> IO[bytes]:
-    return os.fdopen(os.memfd_create(name), "w+b")
-
-
-def _text(file: IO[bytes]) -> str:
-    file.seek(0)
-    return file.read().decode(errors="replace")
-
-
-def _reason(code: int | None, patience_s: float) -> str:
+def _early_end(code: int | None, patience_s: float, last_words: str) -> str:
+    """How the process ended before its last check, and the last lines of its stderr."""
     if code is None:
-        return f"no answer within {patience_s:.0f} s; what follows in this group was not checked"
-    return f"it ended with {signal.strsignal(-code) if code < 0 else f'exit code {code}'}"
-
-
-def _shortened(last_words: str) -> str:
+        end = f"no answer within {patience_s:.0f} s"
+    else:
+        end = f"it ended with {signal.strsignal(-code) if code < 0 else f'exit code {code}'}"
     lines = [line for line in last_words.splitlines() if line.strip()]
-    return in_one_line(" | ".join(lines[-_LAST_LINES:]), 400)
+    said = in_one_line(" | ".join(lines[-_LAST_LINES:]), 400)
+    return f"{end}; what follows in this group was not checked. {said}".removesuffix(". ")
 
 
-def write_findings(command: str, module: str, group: str, root: str, target: str, skipped: str) -> None:
-    """Make all checks of the group but the first `skipped`, and end the process.
+def write_findings(command: str, module: str, group: str, root: str, target: str) -> None:
+    """Make all checks of the group, and end the process.
 
     Writes JSON lines: [subject] of each check before it begins, then its findings; [] at the end. A check
     that raises becomes an error. Whatever else writes to stdout goes to stderr.
@@ -163,13 +146,13 @@ def write_findings(command: str, module: str, group: str, root: str, target: str
     prepare_environment()
     with os.fdopen(os.dup(1), "w") as answers:
         os.dup2(2, 1)
-        for row in _rows(_checks(module, group), Machine(Path(root), target), int(skipped)):
+        for row in _rows(_checks(module, group), Machine(Path(root), target)):
             print(json.dumps(row), file=answers, flush=True)
     os._exit(0)  # the libraries of a broken machine may crash or hang when they are unloaded
 
 
-def _rows(checks: dict[str, Check], machine: Machine, skipped: int) -> Iterator[Sequence[str]]:
-    for subject, check in list(checks.items())[skipped:]:
+def _rows(checks: Mapping[str, Check], machine: Machine) -> Iterator[Sequence[str]]:
+    for subject, check in checks.items():
         named = f"{subject} {machine.target}".strip()
         yield [named]
         try:

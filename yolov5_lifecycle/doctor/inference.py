@@ -7,7 +7,6 @@ import timeit
 import warnings
 from collections.abc import Iterator
 from contextlib import closing
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,15 +32,9 @@ _RUNS = 5
 _WRONG = "Install torch again; if the difference stays, set device to another one and report this line."
 
 
-class Tolerance(NamedTuple):
-    """How much the same detection may differ: in pixels of a corner, and in the score."""
-
-    corner_px: float
-    score: float
-
-
-EXACT = Tolerance(corner_px=1.0, score=0.01)
-COARSE = Tolerance(corner_px=6.0, score=0.15)
+EXACT = (1.0, 0.01)
+"""How much the same detection may differ: in pixels of a corner, and in the score."""
+COARSE = (6.0, 0.15)
 """For precisions below fp32, and for the ground truth."""
 
 
@@ -62,17 +55,18 @@ def detected(*, runtime: str, device: str = "cpu", precision: str = "fp32") -> t
         return detector(_IMAGE, order="rgb"), 1e3 * statistics.median(times_s)
 
 
-def difference(expected: Detections, found: Detections, tolerance: Tolerance) -> str:
+def difference(expected: Detections, found: Detections, tolerance: tuple[float, float]) -> str:
     """The first object of one that the other lacks or has elsewhere; "" if there is none.
 
     Objects whose scores are so near to the threshold that they may be on either side of it are left out.
     """
+    most_px, most_score = tolerance
     for one, other, word in ((expected, found, "lacks"), (found, expected, "also has")):
         for box, score, class_id in zip(one.boxes_xyxy, one.scores, one.class_ids, strict=True):
             corners = np.abs(other.boxes_xyxy - box).max(axis=1, initial=0.0)
-            is_same = (other.class_ids == class_id) & (corners <= tolerance.corner_px)
-            is_same &= np.abs(other.scores - score) <= tolerance.score
-            if not is_same.any() and score > Selection().confidence_threshold + tolerance.score:
+            is_same = (other.class_ids == class_id) & (corners <= most_px)
+            is_same &= np.abs(other.scores - score) <= most_score
+            if not is_same.any() and score > Selection().confidence_threshold + most_score:
                 return f"it {word} {CLASS_NAMES[class_id]} {score:.2f} at {box.round().astype(int).tolist()}"
     return ""
 
@@ -104,17 +98,21 @@ def _build(machine: Machine) -> Iterator[Finding]:
 
 def _forward(_: Machine) -> Iterator[Finding]:
     expected, median_ms = detected(runtime="torch")
-    if problem := difference(ground_truth(), expected, COARSE):
-        yield error(f"cpu fp32 differs from the ground truth: {problem}", remedy=_WRONG)
-    else:
-        yield ok(f"cpu fp32: all {len(expected)} shapes found, {median_ms:.1f} ms an image")
+    problem = difference(ground_truth(), expected, COARSE)
+    told = f"all {len(expected)} shapes found, {median_ms:.1f} ms an image"
+    yield _compared("cpu fp32", "the ground truth", problem, told)
     for device in devices_present()[1:]:
         for precision, tolerance in (("fp32", EXACT), ("fp16", COARSE)):
             found, median_ms = detected(runtime="torch", device=device, precision=precision)
-            if problem := difference(expected, found, tolerance):
-                yield error(f"{device} {precision} differs from the CPU: {problem}", remedy=_WRONG)
-            else:
-                yield ok(f"{device} {precision}: same detections as the CPU, {median_ms:.1f} ms an image")
+            problem = difference(expected, found, tolerance)
+            told = f"same detections as the CPU, {median_ms:.1f} ms an image"
+            yield _compared(f"{device} {precision}", "the CPU", problem, told)
+
+
+def _compared(name: str, other: str, problem: str, told: str) -> Finding:
+    if problem:
+        return error(f"{name} differs from {other}: {problem}", remedy=_WRONG)
+    return ok(f"{name}: {told}")
 
 
 def _runtime(machine: Machine) -> Iterator[Finding]:

@@ -119,4 +119,5 @@ def _opencv_in(folder: str) -> list[str]:
     return sorted(name for name in named if name and _OPENCV.fullmatch(name))
 
 
-CHECKS: Groups = {"packages": {"packages": _required, "duplicates": _duplicates, "OpenCV": _opencv}}
+# Those that import packages come last: a broken one may end the process.
+CHECKS: Groups = {"packages": {"duplicates": _duplicates, "OpenCV": _opencv, "packages": _required}}

@@ -1,4 +1,4 @@
-"""The machine: operating system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver."""
+"""The machine: system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver, cameras."""
 
 from __future__ import annotations
 
@@ -76,15 +76,14 @@ def _memory(machine: Machine) -> Iterator[Finding]:
     limits["is the limit of the control group"] = memory_bytes(machine.text)
     known = {name: value for name, value in limits.items() if value is not None}
     found = ", ".join(f"{value / _GIB:.1f} GiB {name}" for name, value in known.items()) or "not known"
-    least = min(known.values(), default=_ENOUGH_MEMORY)
-    remedy = (
-        "End other programs or raise the limit (--memory of Docker, MemoryMax= of systemd): with too little, "
-        "the kernel kills the detector."
+    yield _judged(
+        found,
+        min(known.values(), default=_ENOUGH_MEMORY),
+        needed=_NEEDED_MEMORY,
+        enough=_ENOUGH_MEMORY,
+        remedy="End other programs or raise the limit (--memory of Docker, MemoryMax= of systemd): with too "
+        "little, the kernel kills the detector.",
     )
-    if least >= _ENOUGH_MEMORY:
-        yield ok(found)
-    else:
-        yield (error if least < _NEEDED_MEMORY else warning)(found, remedy=remedy)
     space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if space != resource.RLIM_INFINITY and space < _ADDRESS_SPACE:
         yield warning(
@@ -94,17 +93,23 @@ def _memory(machine: Machine) -> Iterator[Finding]:
         )
 
 
+def _judged(found: str, value: float, *, needed: float, enough: float, remedy: str) -> Finding:
+    if value >= enough:
+        return ok(found)
+    return (error if value < needed else warning)(found, remedy=remedy)
+
+
 def _limits(_: Machine) -> Iterator[Finding]:
-    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    shown = "any number of" if files == resource.RLIM_INFINITY else f"{files}"
-    remedy = (
-        "Raise the limit with `ulimit -n 4096` (LimitNOFILE=4096 of systemd, --ulimit nofile=4096 of "
-        "Docker), because every peer in the ROS domain takes some."
+    files: float = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    is_unlimited = files == resource.RLIM_INFINITY
+    yield _judged(
+        f"{'any number of' if is_unlimited else files} open files",
+        math.inf if is_unlimited else files,
+        needed=_NEEDED_FILES,
+        enough=_ENOUGH_FILES,
+        remedy="Raise the limit with `ulimit -n 4096` (LimitNOFILE=4096 of systemd, --ulimit nofile=4096 of "
+        "Docker), because every peer in the ROS domain takes some.",
     )
-    if files == resource.RLIM_INFINITY or files >= _ENOUGH_FILES:
-        yield ok(f"{shown} open files")
-    else:
-        yield (error if files < _NEEDED_FILES else warning)(f"{shown} open files", remedy=remedy)
     if problem := thread_problem(_THREADS):
         found, told = problem.split(": ", 1)
         yield error(found, remedy=told[0].upper() + told[1:])
@@ -186,6 +191,36 @@ def _absence(machine: Machine, libraries: set[str]) -> Finding:
     return ok("no NVIDIA GPU: the detector uses the CPU")
 
 
+def _camera(machine: Machine) -> Iterator[Finding]:
+    """One image of the device, which may also belong to something that sends none."""
+    from yolov5_lifecycle.sources.frames import SourceError  # OpenCV, which the other checks do not need
+    from yolov5_lifecycle.sources.source import open_source
+
+    device = machine.path(machine.target)
+    if not os.access(device, os.R_OK | os.W_OK):
+        yield error(
+            "this user may not open it",
+            remedy="Add the user to the group of the device with `sudo usermod -aG video $USER` and log in "
+            "again; give a container the device with --device.",
+        )
+        return
+    try:
+        frame = next(open_source(str(device)).frames)
+    except SourceError as problem:
+        # The driver of USB cameras adds a second device, with the description of the images.
+        if machine.text(f"/sys/class/video4linux/{device.name}/index").strip() not in ("", "0"):
+            yield ok("sends no images: it belongs to another device of the same camera")
+        else:
+            yield warning(
+                str(problem),
+                remedy="End the program that uses the camera (`sudo fuser -v /dev/video*`), or plug it in "
+                "again; ignore this line if the device is no camera.",
+            )
+        return
+    height, width = frame.image.size_hw
+    yield ok(f"one image of {width}x{height} received")
+
+
 CHECKS: Groups = {
     "system": {
         "system": _system,
@@ -196,4 +231,5 @@ CHECKS: Groups = {
         "cache": _cache,
     },
     "driver": {"NVIDIA driver": _driver},
+    "camera": {"camera": _camera},
 }

@@ -9,9 +9,9 @@ from pathlib import Path
 import yaml
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError
-from yolov5_lifecycle.input_file import RegularFileError, read_text_file
+from yolov5_lifecycle.input_file import read_text_file
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, ClassNamesError, class_names_of
-from yolov5_lifecycle.outside_yaml import OutsideYamlError, PlainText, texts_of
+from yolov5_lifecycle.outside_yaml import PlainText, texts_of
 
 _MAX_BYTES = 1 << 20
 SPLITS = ("val", "test", "train")
@@ -38,7 +38,7 @@ def read_description(path: Path) -> DataDescription:
     """Read the `data.yaml` at `path`, at most a megabyte. Raises DataError."""
     try:
         content = texts_of(read_text_file(path, _MAX_BYTES))
-    except (OutsideYamlError, RegularFileError, OSError) as error:
+    except (ValueError, OSError) as error:
         problem = error.strerror if isinstance(error, OSError) else str(error)
         raise DataError(f"{path}: {problem}.") from None
     if not isinstance(content, dict):

@@ -20,7 +20,7 @@ from rosbags.typesys.store import Typestore
 from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.input_file import read_regular_file
 from yolov5_lifecycle.offline.image_files import DistinctNames
 from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_mcap
 from yolov5_lifecycle.offline.stored_messages import (
@@ -31,7 +31,7 @@ from yolov5_lifecycle.offline.stored_messages import (
     StorageError,
     StoredTopic,
 )
-from yolov5_lifecycle.outside_yaml import OutsideYamlError, texts_of
+from yolov5_lifecycle.outside_yaml import texts_of
 from yolov5_lifecycle.printable import in_one_line, shell_command
 
 _RAW = "sensor_msgs/msg/Image"
@@ -273,7 +273,7 @@ def _files_of(path: Path) -> tuple[list[Path], Mapping[str, int]]:
             f"{METADATA} is missing, which is written when recording ends: "
             f"{shell_command('ros2', 'bag', 'reindex', path)}"
         ) from None
-    except (OutsideYamlError, RegularFileError) as error:
+    except ValueError as error:
         raise StorageError(f"{METADATA}: {error}") from None
     bag = _mapping(_mapping(described).get("rosbag2_bagfile_information"))
     names = bag.get("relative_file_paths")

@@ -22,10 +22,6 @@ _END_S = 60.0
 """Timeout for the end of a process after a signal, possibly on a slow machine."""
 
 
-class ProcessError(RuntimeError):
-    """A process ended unexpectedly or failed to end; the message has its last output lines."""
-
-
 class ChildProcess:
     """Runs `command` and records its output; as a context manager, ends the process on exit.
 
@@ -78,34 +74,34 @@ class ChildProcess:
         return self._process.poll()
 
     def check_running(self) -> None:
-        """Raise ProcessError if the process has ended."""
+        """Raise RuntimeError if the process has ended."""
         code = self.exit_code
         if code is not None:
             self._reader.join(_KILL_S)
-            raise ProcessError(
+            raise RuntimeError(
                 f"the {self.name} ended with exit code {code}. Its last output:\n{self.last_words}"
             )
 
     def wait_for_output(self, text: str, timeout_s: float) -> None:
-        """Wait until `text` is in the output; raises ProcessError on timeout or if the process ends."""
+        """Wait until `text` is in the output; raises RuntimeError on timeout or if the process ends."""
         with self._heard:
             self._heard.wait_for(lambda: self._is_silent or text in "".join(self._lines), timeout_s)
         if text not in self.output:
-            raise ProcessError(f"the {self.name} did not print '{text}'. Its last output:\n{self.last_words}")
+            raise RuntimeError(f"the {self.name} did not print '{text}'. Its last output:\n{self.last_words}")
 
     def wait(self, timeout_s: float) -> int:
-        """Wait for the process to end and return its exit code; raises ProcessError on timeout."""
+        """Wait for the process to end and return its exit code; raises RuntimeError on timeout."""
         try:
             code = self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            raise ProcessError(
+            raise RuntimeError(
                 f"the {self.name} did not end within {timeout_s:g} s. Its last output:\n{self.last_words}"
             ) from None
         self._reader.join(_KILL_S)
         return code
 
     def stop(self, signal_number: int = signal.SIGINT, *, timeout_s: float = _END_S) -> int:
-        """Send the signal, wait, and return the exit code; raises ProcessError on timeout."""
+        """Send the signal, wait, and return the exit code; raises RuntimeError on timeout."""
         self._process.send_signal(signal_number)
         return self.wait(timeout_s)
 

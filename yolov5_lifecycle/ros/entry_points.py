@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from importlib import import_module
 from typing import NoReturn
 
@@ -16,23 +17,8 @@ _ROS_THREADS = 12
 """Eight threads of Fast DDS, plus those of the node and rclpy."""
 
 
-def detector() -> NoReturn:
-    """Run the command `detector`; exit with code 1 if an import fails."""
-    _run("detector", "yolov5_lifecycle.ros.detector.command")
-
-
-def camera() -> NoReturn:
-    """Run the command `camera`; exit with code 1 if an import fails."""
-    _run("camera", "yolov5_lifecycle.ros.camera.node")
-
-
-def console() -> NoReturn:
-    """Run the command `console`; exit with code 1 if an import fails."""
-    _run("console", "yolov5_lifecycle.ros.console.command")
-
-
 def _run(command: str, module: str) -> NoReturn:
-    """Prepare the process, then run `main` of `module`.
+    """Prepare the process, then run `main` of `module`; exit with code 1 if an import fails.
 
     Until a node handles signals itself, each ends the process with code 0: the imports take seconds, and a
     signal would otherwise cause a traceback or kill Python. They also start threads.
@@ -47,3 +33,8 @@ def _run(command: str, module: str) -> NoReturn:
         complain(command, f"{import_problem(error)}. {remedy}")
         sys.exit(EXIT_UNABLE)
     sys.exit(main())
+
+
+detector = partial(_run, "detector", "yolov5_lifecycle.ros.detector.command")
+camera = partial(_run, "camera", "yolov5_lifecycle.ros.camera.node")
+console = partial(_run, "console", "yolov5_lifecycle.ros.console.command")

@@ -48,32 +48,13 @@ def jpeg_of_message(message: Image | CompressedImage, image: ColourImage) -> NDA
     return data if is_jpeg(data) and b"Exif" not in data[:_EXIF_BYTES].tobytes() else None
 
 
-def image_message(pixels: NDArray[np.uint8], encoding: str, header: Header) -> Image:
-    """Image message of (H, W, channels) pixels in `encoding`."""
-    height, width, channels = pixels.shape
-    message = Image(
-        header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=width * channels
-    )
-    message.data = _array_of(pixels)
-    return message
-
-
-def depth_image_message(depth_mm: NDArray[np.uint16], header: Header) -> Image:
-    """16UC1 image message of depths (H, W) in millimetres, 0 where there is no measurement."""
-    return _image_message_16uc1(depth_mm, header)
-
-
-def masks_message(label_image: NDArray[np.uint16], header: Header) -> Image:
-    """16UC1 image message of a `Detections.label_image`, (H, W)."""
-    return _image_message_16uc1(label_image, header)
-
-
-def _image_message_16uc1(values: NDArray[np.uint16], header: Header) -> Image:
-    height, width = values.shape
-    message = Image(
-        header=header, height=height, width=width, encoding="16UC1", is_bigendian=0, step=2 * width
-    )
-    message.data = _array_of(values.astype("<u2", copy=False))
+def image_message(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
+    """Image message of pixels (H, W) or (H, W, channels) in `encoding`: 16UC1 for depths and masks."""
+    height, width = pixels.shape[:2]
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    step = width * channels * pixels.itemsize
+    message = Image(header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=step)
+    message.data = _array_of(pixels.astype(pixels.dtype.newbyteorder("<"), copy=False))
     return message
 
 

@@ -21,10 +21,6 @@ PATIENCE_S = 60.0
 _FIRST_ANSWER_S = 1.0
 
 
-class NoAnswerError(TimeoutError):
-    """The wait for a condition, service or response timed out."""
-
-
 class Observer(Node):
     """Node that spins in the caller's thread, only during `wait_for`, `work_for` and `call`.
 
@@ -46,11 +42,11 @@ class Observer(Node):
         rclpy.try_shutdown(context=self.context)
 
     def wait_for(self, condition: Callable[[], bool], what: str, *, timeout_s: float = PATIENCE_S) -> None:
-        """Spin until `condition()`; raises NoAnswerError naming `what` on timeout."""
+        """Spin until `condition()`; raises TimeoutError naming `what` on timeout."""
         deadline_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline_s:
-                raise NoAnswerError(f"timed out after {timeout_s:g} s waiting for {what}")
+                raise TimeoutError(f"timed out after {timeout_s:g} s waiting for {what}")
             self._check()
             self._loop.spin_once(timeout_sec=0.05)
 
@@ -60,7 +56,7 @@ class Observer(Node):
         self.wait_for(lambda: time.monotonic() >= end_s, "time to pass", timeout_s=2 * duration_s + 1)
 
     def call(self, client: Any, request: Any, *, timeout_s: float = PATIENCE_S) -> Any:
-        """Call the service and return its response; raises NoAnswerError on timeout."""
+        """Call the service and return its response; raises TimeoutError on timeout."""
         self.wait_for(client.service_is_ready, f"the service {client.srv_name}", timeout_s=timeout_s)
         future = client.call_async(request)
         try:
@@ -85,16 +81,16 @@ class RemoteLifecycleNode:
         self._get_state = observer.create_client(GetState, f"{name}/get_state")
 
     def wait_until_reachable(self) -> None:
-        """Wait for the first response; raises NoAnswerError on timeout.
+        """Wait for the first response; raises TimeoutError on timeout.
 
         A service looks ready before it has discovered the client; responses sent until then are lost.
         """
         deadline_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline_s:
-            with contextlib.suppress(NoAnswerError):
+            with contextlib.suppress(TimeoutError):
                 self._observer.call(self._get_state, GetState.Request(), timeout_s=_FIRST_ANSWER_S)
                 return
-        raise NoAnswerError(f"timed out after {PATIENCE_S:g} s waiting for the node {self._name}")
+        raise TimeoutError(f"timed out after {PATIENCE_S:g} s waiting for the node {self._name}")
 
     def state(self) -> str:
         """Get the lifecycle state, such as `inactive`."""

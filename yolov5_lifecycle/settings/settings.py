@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
@@ -15,12 +15,6 @@ from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
-from yolov5_lifecycle.settings.contradictions import (
-    not_above,
-    precision_rule,
-    without_folder,
-    without_scipy,
-)
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 from yolov5_lifecycle.settings.value_rules import COLLECT_REASONS, RULES, Rule, cameras
@@ -265,7 +259,7 @@ class Settings(BaseModel):
 
     @model_validator(mode="after")
     def _agrees(self) -> Settings:
-        if problems := _contradictions(self):
+        if problems := [*_contradictions(self)]:
             raise contradiction(problems)
         return self
 
@@ -311,26 +305,45 @@ SETTINGS_BY_NAME = SCHEMA.by_name
 validated = SCHEMA.validated
 
 
-def _contradictions(settings: Settings) -> list[Problem]:
-    """Violated rules that involve several settings."""
-    problems = []
-    device, runtime = settings.device, settings.runtime
-    if settings.precision not in ("auto", "fp32") and (
-        rule := precision_rule(settings.precision, device=device, runtime=runtime)
-    ):
-        problems.append(Problem("precision", rule))
+def _contradictions(settings: Settings) -> Iterator[Problem]:
+    """Violated rules that involve several settings, or the machine."""
+    if rule := _precision_rule(settings.precision, settings.device, settings.runtime):
+        yield Problem("precision", rule)
     stride = max(SIZES[settings.model_size].strides)
     if settings.image_size % stride and not settings.weights:
         whose = f"model_size '{settings.model_size}'"
-        problems.append(Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose)))
+        yield Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose))
     low, high = settings.track_low_threshold, settings.track_high_threshold
     if low > high:
-        problems.append(not_above("track_low_threshold", low, "track_high_threshold", high))
+        yield _not_above("track_low_threshold", low, "track_high_threshold", high)
     low, high = settings.min_box_size, settings.max_box_size
     if 0 < high < low and (low > 1) == (high > 1):  # a fraction and pixels cannot be compared
-        problems.append(not_above("min_box_size", low, "max_box_size", high))
+        yield _not_above("min_box_size", low, "max_box_size", high)
     if settings.collect and not settings.collect_dir:
-        problems.append(without_folder())
+        yield Problem("collect", "true needs a folder. Restart the node with collect_dir set to one.")
     if settings.tracker != "none" and (absence := absence_of("scipy.optimize")):
-        problems.append(without_scipy(settings.tracker, absence))
-    return problems
+        remedy = f"{absence.rstrip('.')}, or use the tracker 'none'."
+        yield Problem("tracker", f"'{settings.tracker}' needs scipy. {remedy}")
+
+
+def _not_above(name: str, value: float, bound: str, most: float) -> Problem:
+    return Problem(name, f"{value:g} is above {bound}, {most:g}. Lower it, or raise the other.")
+
+
+def _precision_rule(precision: str, device: str, runtime: str) -> str:
+    """The rule that the three violate together, or ""."""
+    if precision == "fp16" and device == "cpu":
+        return "'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'."
+    if precision not in ("int8", "bf16"):
+        return ""
+    if device not in ("auto", "cpu"):
+        return (
+            f"'{precision}' runs on the CPU only, but device is '{device}'. Use device 'cpu' or precision "
+            "'auto'."
+        )
+    if runtime not in ("auto", "openvino"):
+        return (
+            f"'{precision}' needs OpenVINO, but runtime is '{runtime}'. Use runtime 'auto', or precision "
+            "'fp32'."
+        )
+    return ""

@@ -25,14 +25,8 @@ SYNONYMS = {
     "roi": "regions",
     "rois": "regions",
     "zones": "regions",
-    "collect_classes": "collect_reasons",
-    "collect_score_margin": "collect_reasons",
-    "collect_unusual": "collect_reasons",
-    "collect_novelty": "collect_reasons",
-    "collect_gap_s": "collect_per_minute",
-    "collect_max_frames": "collect_max_mb",
 }
-"""Names that YOLOv5's own scripts, other nodes and earlier versions use for a setting."""
+"""Names that YOLOv5's own scripts and other nodes use for a setting."""
 
 _TOPIC = "topics are remapped: -r '~/image_raw:=/camera/image_raw'."
 _DEPTH_TOPICS = (

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.folder_listing import FolderSizeError, entries
+from yolov5_lifecycle.folder_listing import entries
 from yolov5_lifecycle.images.compressed import decode_image_file
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
@@ -233,7 +233,7 @@ def image_paths(path: Path) -> list[Path]:
     found = (file for file in entries(path) if file.suffix.lower() in IMAGE_SUFFIXES)
     try:
         paths = sorted(found, key=_natural_order)
-    except FolderSizeError as error:
+    except OSError as error:
         raise SourceError(str(error)) from None
     if not paths:
         raise SourceError(f"The folder {path} has no images ({', '.join(IMAGE_SUFFIXES)}).")

@@ -31,7 +31,7 @@ from yolov5_lifecycle.ros.demo.ground_truth import matched
 from yolov5_lifecycle.ros.demo.one_camera import mask_ious
 from yolov5_lifecycle.ros.demo.several_cameras import CAMERAS, figures, side_by_side
 from yolov5_lifecycle.ros.demo.stage import saved, together
-from yolov5_lifecycle.ros.messages import masks_message
+from yolov5_lifecycle.ros.messages import image_message
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 Objects = Sequence[tuple[str, float]]
@@ -168,7 +168,7 @@ def masks(**columns: slice) -> Image:
     labels = np.zeros((8, 20), np.uint16)
     for name, part in columns.items():
         labels[:, part] = int(name.removeprefix("of_"))
-    return masks_message(labels, Header())
+    return image_message(labels, "16UC1", Header())
 
 
 @pytest.mark.parametrize(

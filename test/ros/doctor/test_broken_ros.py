@@ -5,10 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.doctor_process import Row, doctor, of, planted
+from sensor_msgs.msg import Image
+from support.doctor_process import doctor, first_on_path, of, planted
 
-from yolov5_lifecycle.doctor.finding import Machine
-from yolov5_lifecycle.ros.doctor.environment import CHECKS
+from yolov5_lifecycle.doctor.finding import Finding, Machine
+from yolov5_lifecycle.input_file import resolve_package
+from yolov5_lifecycle.ros.doctor.environment import CHECKS, PROFILE
+from yolov5_lifecycle.ros.doctor.started_nodes import Arrivals, has_foreign_segment
+from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 
 SUBJECTS = ["middleware", "discovery", "shared memory", "log", "ROS"]
 WRONG = {
@@ -25,7 +29,7 @@ WRONG = {
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Finding]:
     """The report of a terminal with all of them, on a machine without /dev/shm."""
     return doctor("--only", "ros", environment=WRONG, root=tmp_path_factory.mktemp("root"))
 
@@ -70,21 +74,23 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
         ),
     ],
 )
-def test_what_is_wrong_is_found(rows: list[Row], subject: str, level: str, found: str, remedy: str) -> None:
+def test_what_is_wrong_is_found(
+    rows: list[Finding], subject: str, level: str, found: str, remedy: str
+) -> None:
     (row,) = [row for row in rows if row.subject == subject and found in row.found]
     assert row.level == level
     assert remedy in row.remedy
 
 
-def test_a_process_that_ends_hides_no_other_check(rows: list[Row]) -> None:
+def test_a_process_that_ends_hides_no_other_check(rows: list[Finding]) -> None:
     assert list(dict.fromkeys(row.subject for row in rows)) == SUBJECTS
 
 
 @pytest.mark.parametrize(
     ("domain", "level"),
     [
-        *(("", "ok"), ("0", "ok"), ("101", "ok"), ("102", "warning"), ("232", "warning")),
-        *(("233", "error"), ("-1", "error"), ("two", "error"), ("1.5", "error"), ("9" * 30, "error")),
+        *(("", "ok"), ("101", "ok"), ("102", "warning"), ("232", "warning"), ("233", "error")),
+        *(("-1", "error"), ("two", "error"), ("9" * 30, "error")),
     ],
 )
 def test_a_domain_has_limits(domain: str, level: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,8 +134,63 @@ def test_a_log_in_a_home_that_ros_does_not_know_is_found(monkeypatch: pytest.Mon
 def test_a_python_without_ros_is_told_to_source_it(tmp_path: Path) -> None:
     absent = "raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')"
     planted(tmp_path, {"rclpy/__init__.py": absent})
-    rows = doctor("--only", "ros", "transport", "node", environment={"PYTHONPATH": str(tmp_path)})
+    rows = doctor("--only", "ros", "transport", "node", environment=first_on_path(tmp_path))
     for subject in ("ROS", "transport", "node"):
         row = of(rows, subject)
         assert "No module named 'rclpy'" in row.found
         assert "source /opt/ros/jazzy/setup.bash" in row.found + row.remedy
+
+
+# Images from another process, counted by the numbers that their publisher gave them
+
+
+def arrived(*numbers: int | None) -> Arrivals:
+    arrivals = Arrivals()
+    for number in numbers:
+        arrivals.take(Image(), {"publication_sequence_number": number})
+    return arrivals
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost"),
+    [((), 1.0), ((7,), 0.0), ((7, 9), 1 / 3), ((1, 10), 0.8), ((None, None), 0.0)],
+    ids=str,
+)
+def test_gaps_in_the_numbers_are_losses(numbers: tuple[int | None, ...], lost: float) -> None:
+    assert arrived(*numbers).lost == pytest.approx(lost)
+
+
+def test_the_line_has_losses_rate_latency_and_the_way() -> None:
+    text = str(arrived(*range(30), *range(60, 90)))
+    assert text.startswith("33% of the images of 1280x720 lost, 15.0 of 15 Hz received, ")
+    assert text.endswith("ms each, without shared memory")
+
+
+@pytest.mark.parametrize(
+    ("mapped", "expected"),
+    [
+        pytest.param([], False, id="no shared memory"),
+        pytest.param(["fastrtps_143cf107409bcd49"] * 2, False, id="its own"),
+        pytest.param(["fastrtps_143cf107409bcd49", "fastrtps_port7661"], False, id="ports"),
+        pytest.param(["fastrtps_143cf107409bcd49", "fastrtps_4c55fdd7a32e4041"], True, id="another's"),
+    ],
+)
+def test_a_segment_of_another_process_is_shared_memory(mapped: list[str], expected: bool) -> None:
+    maps = "".join(f"7f2a-7f2b rw-s 00000000 00:19 5103  /dev/shm/{name}\n" for name in mapped)
+    assert has_foreign_segment(maps) == expected
+
+
+@pytest.mark.long  # a camera process, watched for seconds
+@pytest.mark.parametrize(
+    ("environment", "remedy"),
+    [
+        pytest.param({}, "Start cameras with `export FASTRTPS_DEFAULT_PROFILES_FILE=", id="by default"),
+        pytest.param({PROFILE_VARIABLES[0]: resolve_package(PROFILE)}, "Lower the", id="with the profile"),
+    ],
+)
+def test_the_way_of_the_images_is_told(environment: dict[str, str], remedy: str) -> None:
+    (row,) = doctor("--only", "transport", "--time", "600", environment=environment)
+    assert row.subject == "image transport"
+    assert "of the images of 1280x720 lost" in row.found
+    assert row.found.endswith("through shared memory")
+    assert row.level == "ok" or row.remedy.startswith((remedy, "Lower the camera's rate"))

@@ -159,11 +159,8 @@ def wrong_files(draw: st.DrawFn) -> tuple[Values, Values, Values, set[str]]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("examples", [40, pytest.param(400, marks=pytest.mark.long)], ids=["some", "many"])
-def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(
-    ros_domain: int, tmp_path: Path, examples: int
-) -> None:
-    @settings(max_examples=examples)
+def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(ros_domain: int, tmp_path: Path) -> None:
+    @settings(max_examples=200)
     @given(wrong_files(), st.randoms(use_true_random=False))
     def try_it(case: tuple[Values, Values, Values, set[str]], random: Any) -> None:
         start, wanted, corrections, wrong = case
@@ -212,15 +209,6 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             id="no camera can be read",
         ),
         pytest.param(
-            {**FRONT_AND_REAR, "side.max_rate": -1.0},
-            [
-                "side.max_rate: -1.0 is not a number from 0 to 1000.",
-                "side.max_rate: there is no such parameter: add the camera to cameras, which has front, "
-                "rear. Or remove it: ros2 param delete /yolov5 side.max_rate",
-            ],
-            id="value of a missing camera",
-        ),
-        pytest.param(
             {"cameras": [*MANY, "front"], "front.max_rate": 5.0, "front.max_rte": 5.0},
             [
                 "cameras: ",
@@ -247,27 +235,9 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             id="quality of a camera that is to be renamed",
         ),
         pytest.param(
-            {"cameras": ["front", "2nd"], "qos_overrides./yolov5/front/detections.publisher.deph": 1},
-            [
-                "qos_overrides./yolov5/front/detections.publisher.deph: this node has no such",
-                "cameras: ",
-            ],
-            id="quality of a valid camera",
-        ),
-        pytest.param(
-            {"cameras": ["front", "2nd"], "qos_overrides./yolov5/front/detections.publisher.depth": 1},
-            ["cameras: "],
-            id="right quality",
-        ),
-        pytest.param(
             {"track_high_threshold": 9.0, "track_low_threshold": 0.5},
             ["track_high_threshold: 9.0 is not"],
             id="contradiction that a wrong value leaves undecided",
-        ),
-        pytest.param(
-            {**FRONT_AND_REAR, "front.track_high_threshold": 9.0, "track_low_threshold": 0.2},
-            ["front.track_high_threshold: 9.0 is not"],
-            id="undecided contradiction of a camera",
         ),
         pytest.param(
             {"cameras": 3, "front.track_high_threshold": 9.0, "front.track_low_threshold": 0.5},
@@ -278,11 +248,6 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
                 "front.track_high_threshold: add",
             ],
             id="undecided contradiction of a camera that does not exist",
-        ),
-        pytest.param(
-            {"cameras": 3, "track_high_threshold": 9.0, "front.track_low_threshold": 0.5},
-            ["track_high_threshold: 9.0 is not", "cameras: ", "front.track_low_threshold: add"],
-            id="contradiction that a wrong value of the node leaves undecided",
         ),
     ],
 )
@@ -307,7 +272,6 @@ def test_configure_names_no_command_that_cannot_help(ros_domain: int, tmp_path: 
     [
         pytest.param({}, "track_low_threshold", 0.9, "track_low_threshold: 0.9 is above", id="contradiction"),
         pytest.param({}, "side.max_rate", 5.0, "add the camera to cameras, which is empty.", id="no camera"),
-        pytest.param(FRONT_AND_REAR, "side.lazy", True, "which has front, rear.", id="missing camera"),
         pytest.param(FRONT_AND_REAR, "front.track_high_threshold", 0.05, "0.1 is above", id="inherited"),
     ],
 )
@@ -329,56 +293,23 @@ def test_a_set_that_needs_another_one_says_so_and_is_refused_when_configured(
 
 
 @pytest.mark.parametrize("state", ["unconfigured", "inactive"])
-@pytest.mark.parametrize(
-    ("name", "remedy"),
-    [
-        ("max_rate", " Set it to its default: 0.0."),
-        ("lazy", " Set it to its default: true."),
-        ("classes", " Set it to its default: []."),
-        ("device", " Set it to its default: 'auto'."),
-        ("autostart", ""),
-    ],
-    ids=lambda text: text.partition(" ")[0],
-)
 def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
-    ros_domain: int, tmp_path: Path, state: str, name: str, remedy: str
+    ros_domain: int, tmp_path: Path, state: str
 ) -> None:
     with detector(tmp_path, {}) as tried:
         assert state == "unconfigured" or tried.configure() == ""
-        result = tried.set(name, None)
-        assert not result.successful
-        assert result.reason == (
-            f"{name}: a parameter of the node always has a value and cannot be deleted.{remedy}"
-        )
+        for name, remedy in (("classes", " Set it to its default: []."), ("autostart", "")):
+            result = tried.set(name, None)
+            assert not result.successful
+            assert result.reason == (
+                f"{name}: a parameter of the node always has a value and cannot be deleted.{remedy}"
+            )
 
 
 def test_setting_the_parameter_that_was_meant_corrects_the_name(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"cameras": ["front"], "front.max_rte": 5.0}) as tried:
         assert "Did you mean 'front.max_rate'? Set that one, or" in tried.configure()
         assert tried.set("front.max_rate", 5.0).successful
-        assert tried.configure() == ""
-
-
-def test_an_override_waits_for_its_camera_although_that_of_a_similar_name_is_set(
-    ros_domain: int, tmp_path: Path
-) -> None:
-    given = {"cameras": ["front"], "front_left.max_rate": 5.0}
-    with detector(tmp_path, given) as tried:
-        assert tried.set("front.max_rate", 3.0).successful
-        assert tried.set("cameras", ["front", "front_left"]).successful
-        assert tried.configure() == ""
-        assert tried.node._settings.settings().for_camera("front_left").max_rate == 5.0
-        (row,) = re.findall(r"^ *front_left\.max_rate .*$", tried.node._settings.table(), re.MULTILINE)
-        assert row.endswith("parameter file")
-
-
-def test_a_camera_that_is_added_with_a_wrong_override_leaves_its_problem_to_configure(
-    ros_domain: int, tmp_path: Path
-) -> None:
-    with detector(tmp_path, {"cameras": ["front"], "rear.max_rate": -1.0}) as tried:
-        assert tried.set("cameras", ["front", "rear"]).successful
-        assert names_in(tried.configure()) == {"rear.max_rate"}
-        assert tried.set("rear.max_rate", None).successful
         assert tried.configure() == ""
 
 

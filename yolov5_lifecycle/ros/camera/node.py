@@ -14,11 +14,10 @@ from rclpy.exceptions import ParameterException
 from yolov5_lifecycle.process.standard_streams import complain, flush_output
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
 from yolov5_lifecycle.ros.camera.settings import SCHEMA, check_qos_overrides, declared_settings
-from yolov5_lifecycle.ros.printable_logger import PrintableNode
+from yolov5_lifecycle.ros.nodes import PrintableNode, spin, stop_event
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
 from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
-from yolov5_lifecycle.ros.spin import spin, stop_event
 from yolov5_lifecycle.ros.start_arguments import explain, initialize, refuse, start_arguments
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.sources.frames import ImageSource, SourceFrame

@@ -22,11 +22,9 @@ from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.camera.settings import CameraSettings, Transport
 from yolov5_lifecycle.ros.messages import (
     compressed_image_message,
-    depth_image_message,
     detection_3d_array_message,
     detection_array,
     image_message,
-    masks_message,
 )
 from yolov5_lifecycle.sources.camera_info import CameraInfoValues
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
@@ -148,7 +146,7 @@ class CameraOutputs:
             self._truths.publish(truths)
         if self._true_masks.get_subscription_count():
             labels = label_image([shape.outline() for shape in frame.shapes], frame.image.size_hw)
-            self._true_masks.publish(masks_message(labels, info.header))
+            self._true_masks.publish(image_message(labels, "16UC1", info.header))
         if frame.depth is not None:
             self._publish_depth(frame.depth, truths, info)
 
@@ -158,7 +156,7 @@ class CameraOutputs:
             places.publish(detection_3d_array_message(truths, _boxes(depth), info.header.frame_id))
         infos.publish(info)
         if images.get_subscription_count():
-            images.publish(depth_image_message(depth.depth_mm, info.header))
+            images.publish(image_message(depth.depth_mm, "16UC1", info.header))
 
 
 def _publisher(node: Node, message_type: type, topic: str, **policies: Any) -> Any:

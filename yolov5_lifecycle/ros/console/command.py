@@ -26,7 +26,7 @@ from yolov5_lifecycle.ros.console.pages import Pages
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 from yolov5_lifecycle.ros.console.sessions import Sessions, kept_token, usual_path
 from yolov5_lifecycle.ros.console.web_server import WebServer, listening_socket
-from yolov5_lifecycle.ros.printable_logger import PrintableNode
+from yolov5_lifecycle.ros.nodes import PrintableNode
 from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.start_arguments import initialize, refuse, start_arguments
 

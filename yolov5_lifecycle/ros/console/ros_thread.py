@@ -12,8 +12,8 @@ from typing import Any, Generic, TypeVar
 
 from rclpy.node import Node
 
+from yolov5_lifecycle.ros.nodes import spin
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
-from yolov5_lifecycle.ros.spin import spin
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -10,11 +10,9 @@ from collections.abc import Sequence
 
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.printable import in_report
-from yolov5_lifecycle.ros.child_process import ProcessError
 from yolov5_lifecycle.ros.console.options import DEFAULT_PORT
 from yolov5_lifecycle.ros.demo import one_camera, several_cameras
 from yolov5_lifecycle.ros.demo.stage import OUTPUT, DemonstrationError, Report, show_live, stage
-from yolov5_lifecycle.ros.observer import NoAnswerError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,7 +23,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     begun_s = time.monotonic()
     try:
         summary = _run(given, lambda text: _say(f"[{time.monotonic() - begun_s:5.1f} s] {text}"))
-    except (DemonstrationError, NoAnswerError, ProcessError, OSError, RuntimeError) as error:
+    except (DemonstrationError, OSError, RuntimeError) as error:
         _say(f"demo failed: {error}")
         return 1
     except KeyboardInterrupt:

@@ -34,7 +34,7 @@ class OneCamera:
     def run(self) -> str:
         """Run the demonstration, save an image and return a summary.
 
-        Raises DemonstrationError, NoAnswerError or OSError.
+        Raises DemonstrationError, TimeoutError or OSError.
         """
         self._stage.transition("configure")
         self._stage.transition("activate")

@@ -37,7 +37,7 @@ _PAPER, _INK = (255, 255, 255), (40, 40, 40)
 def demonstrate(stage: Stage) -> str:
     """Drive the detector, save an image and return a summary.
 
-    Raises DemonstrationError, NoAnswerError or OSError.
+    Raises DemonstrationError, TimeoutError or OSError.
     """
     records = {name: _record(stage, name) for name in CAMERAS}
     stage.transition("configure")

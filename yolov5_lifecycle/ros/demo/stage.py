@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
 from yolov5_lifecycle.input_file import resolve_package
-from yolov5_lifecycle.ros.child_process import ChildProcess, ProcessError, entry_point, isolated, own_domain
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
-from yolov5_lifecycle.ros.observer import NoAnswerError, Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 OUTPUT = Path("build/demo")
 DETECTOR = "/yolov5"
@@ -39,7 +39,7 @@ class DemonstrationError(RuntimeError):
 class Stage:
     """Observes all nodes and drives the detector; calls `report` once per step.
 
-    Its methods raise DemonstrationError for a refusal and NoAnswerError on a timeout.
+    Its methods raise DemonstrationError for a refusal and TimeoutError on a timeout.
     """
 
     def __init__(self, observer: Observer, report: Report) -> None:
@@ -106,7 +106,7 @@ class Stage:
 def stage(commands: Commands, report: Report) -> Iterator[Stage]:
     """Start `commands`; at the end of the block shut the detector down and end all of them.
 
-    Raises DemonstrationError, NoAnswerError and what `started` raises.
+    Raises DemonstrationError, TimeoutError and what `started` raises.
     """
     with started(commands) as processes:
         report("started " + ", ".join(f"{each.name} (process {each.process_id})" for each in processes))
@@ -122,7 +122,7 @@ def stage(commands: Commands, report: Report) -> Iterator[Stage]:
                 yield (driven := Stage(observer, report))
                 watched.remove(detector)  # it answers for a few more seconds, then ends
                 driven.transition("shutdown")
-        except (DemonstrationError, NoAnswerError) as error:
+        except (DemonstrationError, TimeoutError) as error:
             raise DemonstrationError(
                 f"{error}. The detector's last output:\n{detector.last_words}"
             ) from error
@@ -132,7 +132,7 @@ def stage(commands: Commands, report: Report) -> Iterator[Stage]:
 def show_live(commands: Commands, *, port: int, report: Report) -> None:
     """Run `commands` and the console until Ctrl-C.
 
-    The detector may be shut down before that, as the page has a button for it. Raises ProcessError if another
+    The detector may be shut down before that, as the page has a button for it. Raises RuntimeError if another
     process ends before that, and what `started` raises.
     """
     with started({"console": f"console --port {port}", **commands}) as processes:
@@ -156,8 +156,8 @@ def show_live(commands: Commands, *, port: int, report: Report) -> None:
 def started(commands: Commands) -> Iterator[list[ChildProcess]]:
     """The processes of `commands` in a ROS domain of their own, which is this process's, too, from now on.
 
-    After the block they are ended, the last one first; if it raises, they are terminated. Raises ProcessError
-    if one does not end with exit code 0, RuntimeError if there is no free domain, and OSError.
+    After the block they are ended, the last one first; if it raises, they are terminated. Raises RuntimeError
+    if one does not end with exit code 0 or if there is no free domain, and OSError.
     """
     OUTPUT.mkdir(parents=True, exist_ok=True)
     with own_domain() as domain, ExitStack() as stack:
@@ -178,7 +178,7 @@ def started(commands: Commands) -> Iterator[list[ChildProcess]]:
         yield processes
         for process in reversed(processes):
             if code := process.stop():
-                raise ProcessError(f"the {process.name} ended with exit code {code} instead of 0")
+                raise RuntimeError(f"the {process.name} ended with exit code {code} instead of 0")
 
 
 def together(*received: Received) -> dict[int, tuple[Any, ...]]:

@@ -17,9 +17,9 @@ from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.process.standard_streams import flush_output
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS
+from yolov5_lifecycle.ros.nodes import spin, stop_event
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
-from yolov5_lifecycle.ros.spin import spin, stop_event
 from yolov5_lifecycle.ros.start_arguments import (
     explain,
     initialize,

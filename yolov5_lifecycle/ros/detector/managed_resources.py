@@ -19,7 +19,7 @@ from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.model_loader import Background, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
 from yolov5_lifecycle.ros.detector.session import Session
-from yolov5_lifecycle.ros.namesakes import namesakes
+from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings

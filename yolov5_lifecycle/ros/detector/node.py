@@ -18,9 +18,9 @@ from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
+from yolov5_lifecycle.ros.nodes import PrintableNode
 from yolov5_lifecycle.ros.parameters.configuration_problems import corrections
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
-from yolov5_lifecycle.ros.printable_logger import PrintableNode
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
 from yolov5_lifecycle.ros.rclpy_internals import (
     ForgettingGroup,

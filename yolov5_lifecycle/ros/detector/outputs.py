@@ -16,7 +16,7 @@ from vision_msgs.msg import Detection2DArray, Detection3DArray, LabelInfo
 
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.ros.messages import compressed_image_message, image_message, masks_message
+from yolov5_lifecycle.ros.messages import compressed_image_message, image_message
 from yolov5_lifecycle.ros.qos_overrides import overriding_options
 from yolov5_lifecycle.ros.topics import (
     COMPRESSED_IMAGE,
@@ -93,7 +93,7 @@ class Outputs:
 
     def masks_message(self, label_image: NDArray[np.uint16], header: Header) -> Send:
         """A message with the detection that each pixel (H, W) belongs to; see `Detections.label_image`."""
-        return partial(self._masks.publish, masks_message(label_image, header))
+        return partial(self._masks.publish, image_message(label_image, "16UC1", header))
 
     def image_messages(self, image: ColourImage, header: Header) -> Iterator[Send]:
         """Messages with an annotated image, raw and compressed, for each topic that has a subscriber."""

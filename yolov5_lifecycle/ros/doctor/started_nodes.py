@@ -22,7 +22,7 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 from yolov5_lifecycle.ros.doctor.environment import PROFILE
 from yolov5_lifecycle.ros.messages import stamp_ns
-from yolov5_lifecycle.ros.observer import NoAnswerError, Observer
+from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 from yolov5_lifecycle.unfinished import temporary_folder
 
@@ -106,7 +106,7 @@ def _watched() -> Arrivals:
             closing(Observer("doctor", domain=domain, check=camera.check_running)) as observer,
         ):
             observer.create_subscription(Image, "/image_raw", arrivals.take, qos_profile_sensor_data)
-            with suppress(NoAnswerError):
+            with suppress(TimeoutError):
                 observer.wait_for(lambda: bool(arrivals.numbers), "an image", timeout_s=_DISCOVERY_S)
                 observer.work_for(_WATCHED_S)
             arrivals.has_shared_memory = has_foreign_segment(Path("/proc/self/maps").read_text())

@@ -20,16 +20,18 @@ from yolov5_lifecycle.ros.parameters.configuration_problems import (
 )
 from yolov5_lifecycle.ros.parameters.declaration import (
     Source,
+    coerced,
     declare,
     declare_given,
     declare_missing,
     deletion,
+    plain_values,
     source_table,
+    stays,
     undeclare_unset,
     unset_descriptor,
 )
 from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, acceptance
-from yolov5_lifecycle.ros.parameters.values import coerced, plain_values, stays
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
