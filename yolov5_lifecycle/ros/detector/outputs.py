@@ -41,7 +41,7 @@ class Outputs:
     """Owns the publishers of a camera's detections, masks and annotated images.
 
     `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
-    leaves. `encode` compresses an image to JPEG and raises ImageError if it cannot.
+    leaves.
 
     Raises rclpy's exception if a publisher cannot be created, after destroying the others.
     """
@@ -52,11 +52,9 @@ class Outputs:
         *,
         camera: str = "",
         on_subscribers_changed: Callable[[], None],
-        encode: Callable[[ColourImage], NDArray[np.uint8]] = encode_jpeg,
     ) -> None:
         self._node = node
         self._camera = camera
-        self._encode = encode
         self._events = PublisherEventCallbacks(matched=lambda _: on_subscribers_changed())
         self._publishers: list[LifecyclePublisher] = []
         try:
@@ -101,7 +99,7 @@ class Outputs:
             yield partial(self._image.publish, image_message(image.pixels, f"{image.order}8", header))
         if self._compressed_image.get_subscription_count():
             try:
-                jpeg = self._encode(image)
+                jpeg = encode_jpeg(image)
             except ImageError as error:
                 # The detections are published; only the compressed image is missing.
                 self._node.get_logger().warning(
