@@ -220,9 +220,7 @@ def test_an_active_node_hints_at_what_is_missing(status: Status, hint: str) -> N
             "unconfigured: configure and activate the node to detect",
             id="unconfigured",
         ),
-        pytest.param(
-            replace(GOOD, state="inactive"), "inactive: activate the node to detect", id="inactive"
-        ),
+        pytest.param(replace(GOOD, state="inactive"), "inactive: activate the node to detect", id="inactive"),
         pytest.param(replace(GOOD, state="finalized"), "finalized", id="any-other-state"),
         pytest.param(replace(GOOD, problem="no weights"), "no weights", id="problem-first"),
         pytest.param(replace(with_topic(), namesakes="2 nodes"), "2 nodes", id="namesakes-before-images"),
