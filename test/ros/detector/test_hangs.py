@@ -1,4 +1,4 @@
-"""Whatever a frame does, at whatever step and in however many lanes it hangs: the node answers and goes on."""
+"""At whatever step and in however many lanes frames hang: the node answers and goes on."""
 
 from __future__ import annotations
 

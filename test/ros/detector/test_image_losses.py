@@ -222,6 +222,7 @@ def test_images_that_replace_each_other_while_the_node_is_busy_are_dropped_in_qu
     assert receiver.losses.lost == 0
 
 
+@pytest.mark.long
 def test_images_that_the_middleware_loses_are_counted_as_lost(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

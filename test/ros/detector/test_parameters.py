@@ -1,4 +1,4 @@
-"""Parameters given at the start and set while the node runs: applied as a whole or refused with the reason."""
+"""Parameters given at the start or set while the node runs: applied as a whole, or refused with the reason."""
 
 from __future__ import annotations
 
