@@ -123,10 +123,13 @@ class ServedNode:
 
     def _serve(self) -> None:
         while not self._stopping:
-            try:
-                self._executor.spin_once(timeout_sec=0.05)
-            except Exception as error:  # noqa: BLE001 - whatever escapes is what the tests look for
-                self.escaped.append(error)
+            self._serve_once()
+
+    def _serve_once(self) -> None:
+        try:
+            self._executor.spin_once(timeout_sec=0.05)
+        except Exception as error:  # noqa: BLE001 - whatever escapes is what the tests look for
+            self.escaped.append(error)
 
     def wait_for(self, condition: Callable[[], bool], what: str) -> None:
         """Spin the client until `condition`, or fail after a while."""

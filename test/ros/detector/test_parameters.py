@@ -1,4 +1,4 @@
-"""Parameters given at the start or set while the node runs: applied as a whole, or refused with the reason."""
+"""Parameters given at the start or set while the node runs: applied as a whole or refused."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_deleting_an_unknown_override_leaves_the_rest_of_the_request_to_be_set(p
 
 def test_an_override_is_taken_as_it_is_meant(prepare: Preparations) -> None:
     parameters = ("confidence_threshold:=1", "device:=0", "classes:=[0, 1]", "regions:=[]", "model_size:=n")
-    meant = (1.0, "0", ["0", "1"], [], "n")  # YAML takes n for no
+    meant: tuple[object, ...] = (1.0, "0", ["0", "1"], [], "n")  # YAML takes n for no
     with ServedNode(prepare, parameters=parameters) as served:
         assert served.transition("configure")
         assert tuple(served.get(parameter.partition(":=")[0]) for parameter in parameters) == meant

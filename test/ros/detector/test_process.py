@@ -1,4 +1,4 @@
-"""The installed detector as a process, with the embedded model: images in, detections out; signals; memory."""
+"""The installed detector as a process, with the embedded model: images, signals, memory."""
 
 from __future__ import annotations
 

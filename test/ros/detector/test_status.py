@@ -239,7 +239,7 @@ REJECTION = "depth images are rejected: Expected a depth image in 16UC1 or 32FC1
 REASON = "no depth image: no depth image has been received"
 LONG_RUN = RunWithoutDepth(REASON, begun_s=5.0, ended_s=5.5 + UNPLACED_S)
 SHORT_RUN = replace(LONG_RUN, ended_s=5.0 + UNPLACED_S)
-MISSING = {"publishers": 0, "missing_s": DISCOVERY_S + 1}
+MISSING: dict[str, Any] = {"publishers": 0, "missing_s": DISCOVERY_S + 1}
 REFUSED = "cannot subscribe to /yolov5/depth/x: out of memory"
 NO_PLACE = "detections have no place in space"
 
@@ -321,7 +321,12 @@ def test_the_values_hold_every_count_and_the_configuration(monkeypatch: pytest.M
     assert BLIND.of_node.values["best score in them"] == "0.61"
     assert "depth topic" not in with_depth(image=None, camera_info=None).of_node.values
     computed: list[Settings] = []
-    monkeypatch.setattr(Settings, "digest", lambda settings: computed.append(settings) or "0" * 12)
+
+    def digest(settings: Settings) -> str:
+        computed.append(settings)
+        return "0" * 12
+
+    monkeypatch.setattr(Settings, "digest", digest)
     for _ in range(3):
         assert replace(GOOD, settings=Settings(max_rate=7.0)).of_node.values["configuration"] == "0" * 12
     assert len(computed) == 1
