@@ -1,4 +1,4 @@
-"""What a client sees of one camera of a served node: its images with their depth, detections, masks and status."""
+"""What a client sees of one camera of a served node: its images, their depth, detections and status."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
+from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.detector.image_topic import (
     COMPRESSED,
     DISCOVERY_S,
@@ -25,7 +25,6 @@ from yolov5_lifecycle.ros.detector.image_topic import (
     remedy,
     similar_images,
 )
-from yolov5_lifecycle.ros.detector.subscription import Subscription
 from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of_message
@@ -77,6 +76,8 @@ class RunWithoutDepth:
     ended_s: float
 
 
+RECENT_S = 2.0
+"""A rejection or failure is reported in diagnostics for this long."""
 UNPLACED_S = 2.0
 """Images without depth for longer than this are reported."""
 
