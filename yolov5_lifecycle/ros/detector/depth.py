@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -30,14 +29,6 @@ from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_mess
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
-
-
-@dataclass(frozen=True, eq=False)
-class FramedDepth:
-    """A depth image and the name of its coordinate frame."""
-
-    image: DepthImage
-    frame_id: str
 
 
 @dataclass(frozen=True)
@@ -175,7 +166,8 @@ class DepthInput:
         self.slop_s = slop_s
         self._subscriptions: list[Subscription] = []
         """To depth images and to camera_info; empty while depth is not needed."""
-        self._pairing: DepthPairing[FramedDepth] = DepthPairing(slop_s)
+        self._pairing: DepthPairing[tuple[DepthImage, str]] = DepthPairing(slop_s)
+        """Depth images, each with the name of its coordinate frame."""
         self._intrinsics: Intrinsics | None = None
         self.counts = DepthCounts()
         self.run: RunWithoutDepth | None = None
@@ -184,10 +176,14 @@ class DepthInput:
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
         if is_needed and not self._subscriptions:
+            topics = [of_camera(topic, self._camera) for topic in (DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)]
             self._subscriptions = [
-                self._subscribed(DEPTH_IMAGE_RAW, Image, self.take_image),
-                self._subscribed(DEPTH_CAMERA_INFO, CameraInfo, self.take_camera_info, takes_latched=True),
+                Subscription(self._node, topics[0], Image, self.take_image, depth=_QUEUE),
+                Subscription(
+                    self._node, topics[1], CameraInfo, self.take_camera_info, depth=_QUEUE, takes_latched=True
+                ),
             ]
+            self.update()
         elif not is_needed and self._subscriptions:
             for subscription in self._subscriptions:
                 subscription.close()
@@ -220,7 +216,7 @@ class DepthInput:
         """Keep a depth image, without a copy; reject one that cannot be read."""
         self.counts.depth_images += 1
         try:
-            depth = FramedDepth(depth_image_of_message(message), message.header.frame_id)
+            depth = depth_image_of_message(message), message.header.frame_id
         except ImageError as error:
             self.counts.rejected_depth_images += 1
             self._rejection, self._rejected_s = f"depth images are rejected: {error}", self._clock()
@@ -254,7 +250,7 @@ class DepthInput:
             missing = Unplaced.NO_DEPTH_IMAGE
             self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
             return None
-        depth = paired.item.image
+        depth, frame_id = paired.item
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
@@ -264,7 +260,7 @@ class DepthInput:
         self.counts.placed += count - no_place.total()
         self.counts.unplaced.update(no_place)
         self.run = None
-        return PlacedImage(placements, paired.item.frame_id)
+        return PlacedImage(placements, frame_id)
 
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
@@ -272,20 +268,6 @@ class DepthInput:
         self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
         self.counts.unplaced_images += 1
         self.counts.unplaced[reason] += count
-
-    def _subscribed(
-        self, topic: str, message_type: type, take: Callable[[Any], None], *, takes_latched: bool = False
-    ) -> Subscription:
-        subscription = Subscription(
-            self._node,
-            of_camera(topic, self._camera),
-            message_type,
-            take,
-            depth=_QUEUE,
-            takes_latched=takes_latched,
-        )
-        subscription.follow()
-        return subscription
 
     def _in_another_form(self, image: SourceStatus) -> SourceStatus:
         """`image` with what to type if the same images are published by another transport."""

@@ -146,7 +146,9 @@ class Diagnostics:
         self._node = node
         self._status = status
         self._clock = clock
-        self._reasons: dict[str, ReasonLog] = {}
+        self._reasons: dict[str, str] = {}
+        """Without numbers, of the last summaries by name."""
+        self._logged_s: dict[tuple[str, str], float] = {}
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: simulated time may be paused (use_sim_time without /clock).
         self._timer = node.create_timer(period_s, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -167,51 +169,35 @@ class Diagnostics:
         self._log_reasons([of_node] if status.namesakes else detecting)
 
     def _log_reasons(self, summaries: Sequence[Summary]) -> None:
-        logs = {summary.name: self._reasons.get(summary.name) or ReasonLog() for summary in summaries}
-        self._reasons = logs
-        for summary in summaries:
-            reason = summary.hint or summary.remark
-            if not logs[summary.name].is_new(reason, self._clock()):
+        """Log each reason when it appears, and when it recurs after `_REPEAT_S`.
+
+        A text in which only numbers changed is the same reason.
+        """
+        log, now_s, before = self._node.get_logger(), self._clock(), self._reasons
+        reasons = {each.name: re.sub(r"[\d.]+", "", each.hint or each.remark) for each in summaries}
+        logged_s = {
+            (name, reason): at_s
+            for (name, reason), at_s in self._logged_s.items()
+            if name in reasons and now_s - at_s < _REPEAT_S
+        }
+        self._reasons, self._logged_s = reasons, logged_s
+        for each in summaries:
+            key = each.name, reasons[each.name]
+            if key[1] in ("", before.get(each.name, "")) or key in logged_s:
                 continue
-            text = f"{summary.name}: {reason}" if summary.is_of_camera else reason
-            if summary.hint:
-                self._node.get_logger().warning(text)
+            logged_s[key] = now_s
+            whose = f"{each.name}: " if each.is_of_camera else ""
+            if each.hint:
+                log.warning(f"{whose}{each.hint}")
             else:
-                self._node.get_logger().info(text)
-
-
-class ReasonLog:
-    """Decides which reasons to log: each when it appears, and when it recurs after `_REPEAT_S`.
-
-    A text in which only numbers changed is the same reason.
-    """
-
-    def __init__(self) -> None:
-        self._reason = ""
-        self._said_s: dict[str, float] = {}
-
-    def is_new(self, text: str, now_s: float) -> bool:
-        """Whether to log `text` at `now_s` (monotonic seconds)."""
-        reason, before = re.sub(r"[\d.]+", "", text), self._reason
-        self._reason = reason
-        self._said_s = {said: when_s for said, when_s in self._said_s.items() if now_s - when_s < _REPEAT_S}
-        if reason in ("", before) or reason in self._said_s:
-            return False
-        self._said_s[reason] = now_s
-        return True
+                log.info(f"{whose}{each.remark}")
 
 
 def diagnostic_status(summary: Summary, node_name: str) -> DiagnosticStatus:
     """Convert `summary` to a DiagnosticStatus: ERROR with a problem, WARN with a hint, else OK."""
-    level = (
-        DiagnosticStatus.ERROR
-        if summary.problem
-        else DiagnosticStatus.WARN
-        if summary.hint
-        else DiagnosticStatus.OK
-    )
+    level = DiagnosticStatus.WARN if summary.hint else DiagnosticStatus.OK
     return DiagnosticStatus(
-        level=level,
+        level=DiagnosticStatus.ERROR if summary.problem else level,
         name=f"{node_name}: {summary.name}",
         message=in_lines(summary.message, _MAX_VALUE),
         hardware_id=node_name,
