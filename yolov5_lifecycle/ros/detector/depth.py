@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -145,6 +145,7 @@ class DepthStatus:
 _QUEUE = 2
 
 
+@dataclass(eq=False)
 class DepthInput:
     """Owns the subscriptions to depth images and camera_info while depth is needed, and places detections in
     space with the newest ones.
@@ -157,16 +158,16 @@ class DepthInput:
     monotonic seconds.
     """
 
-    def __init__(
-        self, node: Node, *, camera: str = "", slop_s: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._node = node
-        self._camera = camera
-        self._clock = clock
-        self.slop_s = slop_s
+    node: Node
+    _: KW_ONLY
+    camera: str = ""
+    slop_s: float
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
         self._subscriptions: list[Subscription] = []
         """To depth images and to camera_info; empty while depth is not needed."""
-        self._pairing: DepthPairing[tuple[DepthImage, str]] = DepthPairing(slop_s)
+        self._pairing: DepthPairing[tuple[DepthImage, str]] = DepthPairing(self.slop_s)
         """Depth images, each with the name of its coordinate frame."""
         self._intrinsics: Intrinsics | None = None
         self.counts = DepthCounts()
@@ -176,11 +177,11 @@ class DepthInput:
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
         if is_needed and not self._subscriptions:
-            topics = [of_camera(topic, self._camera) for topic in (DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)]
+            topics = [of_camera(topic, self.camera) for topic in (DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)]
             self._subscriptions = [
-                Subscription(self._node, topics[0], Image, self.take_image, depth=_QUEUE),
+                Subscription(self.node, topics[0], Image, self.take_image, depth=_QUEUE),
                 Subscription(
-                    self._node, topics[1], CameraInfo, self.take_camera_info, depth=_QUEUE, takes_latched=True
+                    self.node, topics[1], CameraInfo, self.take_camera_info, depth=_QUEUE, takes_latched=True
                 ),
             ]
             self.update()
@@ -203,7 +204,7 @@ class DepthInput:
         ] or (None, None)
         if image is not None and image.publishers == 0:
             image = self._in_another_form(image)
-        is_recent = self._clock() - self._rejected_s < RECENT_S
+        is_recent = self.clock() - self._rejected_s < RECENT_S
         return DepthStatus(
             image=image,
             camera_info=camera_info,
@@ -219,8 +220,8 @@ class DepthInput:
             depth = depth_image_of_message(message), message.header.frame_id
         except ImageError as error:
             self.counts.rejected_depth_images += 1
-            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self._clock()
-            self._node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
+            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self.clock()
+            self.node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
             return
         self._pairing.add(_nanoseconds(message.header.stamp), depth)
 
@@ -230,8 +231,8 @@ class DepthInput:
             self._intrinsics = intrinsics_of_message(message)
         except IntrinsicsError as error:
             self.counts.rejected_camera_infos += 1
-            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self._clock()
-            self._node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
+            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self.clock()
+            self.node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
 
     def expect(self, stamp: Time) -> None:
         """Keep the depth image nearest to the stamp of the image in progress until the next call."""
@@ -264,17 +265,17 @@ class DepthInput:
 
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
-        now_s, run = self._clock(), self.run  # `follow` may clear it in the executor
+        now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
         self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
         self.counts.unplaced_images += 1
         self.counts.unplaced[reason] += count
 
     def _in_another_form(self, image: SourceStatus) -> SourceStatus:
         """`image` with what to type if the same images are published by another transport."""
-        local = of_camera(DEPTH_IMAGE_RAW, self._camera)
-        name = full_name(self._node, local)
+        local = of_camera(DEPTH_IMAGE_RAW, self.camera)
+        name = full_name(self.node, local)
         found = similar_images(
-            self._node,
+            self.node,
             name,
             transport=RAW,
             usable=(RAW,),
@@ -284,7 +285,7 @@ class DepthInput:
         best = min(found, key=lambda images: images.form == COMPRESSED, default=None)
         if best is None:
             return image
-        clause = remedy(self._node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self._camera)
+        clause = remedy(self.node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self.camera)
         return replace(image, sent_as=in_one_line(best.name), remedy=clause)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -129,36 +129,35 @@ _REPEAT_S = 60.0
 """A recurring reason is logged at most once in this time."""
 
 
+@dataclass(eq=False)
 class Diagnostics:
     """Publishes `status()` every `period_s`; logs namesakes, and why an active node has no output.
 
     `clock` returns monotonic seconds.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        status: Callable[[], Status],
-        *,
-        period_s: float,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._node = node
-        self._status = status
-        self._clock = clock
+    node: Node
+    status: Callable[[], Status]
+    _: KW_ONLY
+    period_s: float
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
         self._reasons: dict[str, str] = {}
         """Without numbers, of the last summaries by name."""
         self._logged_s: dict[tuple[str, str], float] = {}
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._publisher = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: simulated time may be paused (use_sim_time without /clock).
-        self._timer = node.create_timer(period_s, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.node.create_timer(
+            self.period_s, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def publish(self) -> None:
         """Publish the current status now and log its reasons if they are new."""
-        stamp = self._node.get_clock().now().to_msg()  # nothing in the status is older
-        status = self._status()
+        stamp = self.node.get_clock().now().to_msg()  # nothing in the status is older
+        status = self.status()
         of_node, of_cameras = status.of_node, status.of_cameras
-        name = self._node.get_fully_qualified_name()
+        name = self.node.get_fully_qualified_name()
         self._publisher.publish(
             DiagnosticArray(
                 header=Header(stamp=stamp),
@@ -173,7 +172,7 @@ class Diagnostics:
 
         A text in which only numbers changed is the same reason.
         """
-        log, now_s, before = self._node.get_logger(), self._clock(), self._reasons
+        log, now_s, before = self.node.get_logger(), self.clock(), self._reasons
         reasons = {each.name: re.sub(r"[\d.]+", "", each.hint or each.remark) for each in summaries}
         logged_s = {
             (name, reason): at_s

@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.detector.image_topic import TOPICS, ImageTopic
+from yolov5_lifecycle.ros.detector.image_topic import RAW, ImageTopic
 from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
 from yolov5_lifecycle.ros.topics import endpoint_name, full_name
 
@@ -234,6 +234,7 @@ class ImageLosses:
         self._lost_before = self.lost
 
 
+@dataclass(eq=False)
 class ImageInput:
     """Owns the image subscription: keep last 1, reliability as requested or as the publishers offer.
 
@@ -241,30 +242,25 @@ class ImageInput:
     `Subscription` for what happens if it cannot be created.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        *,
-        topic: ImageTopic,
-        reliability: Reliability,
-        on_frame: Callable[[ReceivedFrame], None],
-        losses: ImageLosses,
-    ) -> None:
-        self._topic = topic
-        self._on_frame = on_frame
-        self._losses = losses
+    node: Node
+    _: KW_ONLY
+    topic: ImageTopic
+    reliability: Reliability
+    on_frame: Callable[[ReceivedFrame], None]
+    losses: ImageLosses
+
+    def __post_init__(self) -> None:
         self._last_frame_s = time.monotonic()
-        self._received = 0
-        self._max_bytes = 0
+        self._received = self._max_bytes = 0
         # (time in s, images received, images lost), one per call of `update` within the window
-        self._samples: deque[tuple[float, int, int]] = deque([(self._last_frame_s, 0, losses.lost)])
+        self._samples: deque[tuple[float, int, int]] = deque([(self._last_frame_s, 0, self.losses.lost)])
         self._subscription = Subscription(
-            node,
-            topic.local_name,
-            TOPICS[topic.transport][1],
+            self.node,
+            self.topic.local_name,
+            Image if self.topic.transport == RAW else CompressedImage,
             self._take,
             depth=1,
-            reliability=_POLICIES[reliability],
+            reliability=_POLICIES[self.reliability],
             events=SubscriptionEventCallbacks(message_lost=self._lose, matched=self._match),
             consequence=". Nothing is detected meanwhile; retrying every second",
         )
@@ -277,10 +273,10 @@ class ImageInput:
 
     def update(self) -> None:
         """Subscribe again if what the publishers offer requires it; count recent losses."""
-        self._losses.settle()
+        self.losses.settle()
         self._follow()
         now_s = time.monotonic()
-        self._samples.append((now_s, self._received, self._losses.lost))
+        self._samples.append((now_s, self._received, self.losses.lost))
         while len(self._samples) > 2 and now_s - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
 
@@ -298,26 +294,26 @@ class ImageInput:
 
     def close(self) -> None:
         self._subscription.close()
-        self._losses.settle()
+        self.losses.settle()
 
     def _follow(self) -> None:
         if self._subscription.follow():
-            self._losses.subscribe()
+            self.losses.subscribe()
 
     def _match(self, event: QoSSubscriptionMatchedInfo) -> None:
-        self._losses.match(
-            self._topic.publisher() if event.current_count == 1 else None,
+        self.losses.match(
+            self.topic.publisher() if event.current_count == 1 else None,
             ever_matched=event.total_count,
             has_joined=event.total_count_change > 0,
             now_ns=time.time_ns(),  # compared with the system time at which the middleware received messages
         )
 
     def _lose(self, event: QoSMessageLostInfo) -> None:
-        self._losses.lose(event.total_count_change)
+        self.losses.lose(event.total_count_change)
 
     def _take(self, message: Image | CompressedImage, info: dict[str, int]) -> None:
-        self._losses.take(info["publication_sequence_number"], info["received_timestamp"])
+        self.losses.take(info["publication_sequence_number"], info["received_timestamp"])
         self._last_frame_s = time.monotonic()
         self._received += 1
         self._max_bytes = max(self._max_bytes, len(message.data))
-        self._on_frame(ReceivedFrame(message, self._last_frame_s))
+        self.on_frame(ReceivedFrame(message, self._last_frame_s))
