@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,14 +10,6 @@ from numpy.typing import NDArray
 from support.preparations import Preparations, prediction
 from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection2DArray
-
-from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
-from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 PARAMETERS = ("tracker:=bytetrack", "track_timeout:=60.0")
 LIVE: list[dict[str, object]] = [
@@ -142,23 +132,3 @@ def test_thresholds_that_contradict_each_other_are_refused(tracking: ServedNode)
     assert not done
     assert "track_low_threshold: 0.5 is above track_high_threshold, 0.25" in reason
     assert tracking.get("track_low_threshold") == 0.1
-
-
-def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alone() -> None:
-    nothing: Any = None
-    tracker = ByteTracker(itertools.count(1))
-    pipeline = CameraPipeline(
-        model=(model := Preparations()(Settings(), [(48, 64)])),
-        selection=Selection(),
-        outputs=nothing,
-        latencies=LatencyWindow(),
-        empty_frames=EmptyFrames(EmptyRun(0.25)),
-        last_image=LastImage(),
-        depth=None,
-        tracking=TrackedDetection(tracker, TrackerSettings()),
-    )
-    for sec in range(1, 6):
-        message = image()
-        message.header.stamp.sec = sec
-        assert len(pipeline.detect(ReceivedFrame(message, float(sec)), model.detector).found) == 1
-    assert tracker.confirmed == 0

@@ -51,15 +51,16 @@ class ManagedResources:
     rest_timeout_s: float
 
     def __post_init__(self) -> None:
+        self._cameras: dict[str, DetectorCamera] = {}
         self._failures = FrameFailures(
             self.node,
+            self._cameras,
             max_consecutive=lambda: self.parameters.value("max_consecutive_failures"),
             on_too_many=self.on_too_many,
             on_device_lost=self.on_device_lost,
         )
         self._track_ids = itertools.count(1)
         self._waits = Background(self.node, "waits")
-        self._cameras: dict[str, DetectorCamera] = {}
         self._collecting = CollectService(self.node, self.parameters, self._cameras)
         self.loader = ModelLoader(
             self.node, self.prepare, sizes_hw=self._sizes_hw, on_device_lost=self.on_device_lost
@@ -211,9 +212,8 @@ class ManagedResources:
     def _make_cameras(self) -> None:
         """Those that the parameters name; the others, which have no publishers any more, end."""
         names = self._names()
-        for name in [name for name in self._cameras if name not in names]:
+        for name in self._cameras.keys() - names:
             del self._cameras[name]
-            self._failures.forget(name)
         for name in names:
             if name not in self._cameras:
                 topic = ImageTopic(self.node, "raw", camera=name, cameras=self._names)
