@@ -188,6 +188,11 @@ class ImageTopic:
     def __post_init__(self) -> None:
         self._begin()
 
+    def _begin(self) -> None:
+        self.name = full_name(self.node, self.local_name)
+        self._seen_s, self._searched_s = self.clock(), float("-inf")
+        self._similar: list[PublishedImages] = []
+
     @property
     def local_name(self) -> str:
         """Name before remapping, such as ~/image_raw."""
@@ -226,11 +231,6 @@ class ImageTopic:
         """Gid of the only publisher, None unless there is exactly one."""
         infos = self.node.get_publishers_info_by_topic(self.name)
         return bytes(infos[0].endpoint_gid) if len(infos) == 1 else None
-
-    def _begin(self) -> None:
-        self.name = full_name(self.node, self.local_name)
-        self._seen_s, self._searched_s = self.clock(), float("-inf")
-        self._similar: list[PublishedImages] = []
 
     def _search(self) -> list[PublishedImages]:
         """Images that the node does not receive, those of this camera first."""
