@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.camera_client import CameraClient
 from support.colcon_workspace import REPOSITORY
 from support.pages import blocks
 from support.preparations import Preparations
 from support.random_model import random_frame
-from support.segmented_scene import PARAMETERS, MasksSubscriber, SceneCamera, SegmentingModel, labels
+from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel, labels
 from support.served_node import ServedNode
 from support.small_families import segmentation_checkpoint
 
@@ -32,9 +33,9 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
 def test_a_subscriber_as_on_the_page_counts_the_pixels_of_each_object(
     served: ServedNode, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    camera, masks = SceneCamera(served), MasksSubscriber(served)
-    camera.wait_for_masks(masks)
-    array, message = camera.segment(masks)
+    masks = MasksSubscriber(CameraClient(served, size_hw=SIZE_HW))
+    masks.begin()
+    array, message = masks.segment()
     names: dict[str, object] = {}
     exec(IN_NODE, names)
     capsys.readouterr()

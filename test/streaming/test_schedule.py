@@ -92,27 +92,3 @@ def test_a_waiting_frame_is_overtaken_at_most_once_by_each_camera(steps: list[in
             turns.offer(step)
             overtaken.setdefault(step, Counter())
         assert overtaken.keys() == turns.waiting()
-
-
-def test_a_fast_camera_delays_a_slow_one_by_one_task() -> None:
-    turns = Turns(2)
-    fast, slow = 0, 1
-    turns.offer(fast)
-    for _ in range(20):
-        assert turns.serve() == [fast]
-        turns.offer(slow)
-        turns.offer(fast)
-        assert turns.serve() == [slow]
-        assert turns.serve() == [fast]
-        turns.offer(fast)
-
-
-@given(steps=STEPS)
-def test_cameras_without_frames_change_nothing(steps: list[int]) -> None:
-    few, many = Turns(MAX_CAMERAS), Turns(2 * MAX_CAMERAS)
-    for step in steps:
-        if step == SERVE:
-            assert few.serve() == many.serve()
-        else:
-            few.offer(step)
-            many.offer(step)

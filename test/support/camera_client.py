@@ -1,9 +1,11 @@
-"""What a client sees of one camera of a served node: its images, detections and diagnostics."""
+"""What a client sees of one camera of a served node: its images, their depth, detections and status."""
 
 from __future__ import annotations
 
 import numpy as np
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from support.depth_messages import camera_info_message, depth_message
@@ -15,56 +17,76 @@ SIZE_HW = (48, 64)
 
 
 class CameraClient:
-    """Publishes images of the camera `name`, as JPEG if `is_compressed`.
+    """Publishes images of the camera `name`, "" for the only one of a node, as JPEG if `is_compressed`.
 
     Receives its detections if `is_listening`.
     """
 
     def __init__(
-        self, served: ServedNode, name: str, *, is_listening: bool = True, is_compressed: bool = False
+        self,
+        served: ServedNode,
+        name: str = "",
+        *,
+        size_hw: tuple[int, int] = SIZE_HW,
+        is_listening: bool = True,
+        is_compressed: bool = False,
     ) -> None:
         self.served = served
         self.name = name
+        self.size_hw = size_hw
+        self.sent = 0
+        """Images so far, which is the stamp of the last one in seconds."""
         self.detections: list[Detection2DArray] = []
         self._is_compressed = is_compressed
-        topic, kind = ("image_raw/compressed", CompressedImage) if is_compressed else ("image_raw", Image)
-        self.images = served.client.create_publisher(kind, self.topic(topic), 1)
-        if is_listening:
+        if name:
+            topic, kind = ("image_raw/compressed", CompressedImage) if is_compressed else ("image_raw", Image)
+            self.images = served.client.create_publisher(kind, self.topic(topic), 1)
+        else:
+            self.images, self.detections = served.images, served.detections
+        if name and is_listening:
             self.listen()
-        self._sent = 0
 
     def topic(self, name: str) -> str:
         """The full name of one of the camera's topics."""
-        return f"/yolov5/{self.name}/{name}"
+        return "/".join(filter(None, ("/yolov5", self.name, name)))
 
     def listen(self) -> None:
         topic = self.topic("detections")
         self.served.client.create_subscription(Detection2DArray, topic, self.detections.append, 10)
 
-    def send(self, message: Image | None = None) -> int:
-        """Send an image; the seconds of its stamp."""
-        self._sent += 1
-        message = message or image(*SIZE_HW)
-        message.header.stamp.sec = self._sent
+    def send(self, message: Image | None = None) -> Header:
+        """Send an image; its header."""
+        self.sent += 1
+        message = message or image(*self.size_hw)
+        message.header.stamp.sec = self.sent
         message.header.frame_id = f"{self.name}_optical"
         self.images.publish(_compressed(message) if self._is_compressed else message)
-        return self._sent
+        return message.header
 
-    def wait_for(self, sec: int) -> None:
-        """Wait for the detections in the image with this stamp, in seconds."""
-        is_there = lambda: bool(self.detections) and self.detections[-1].header.stamp.sec == sec  # noqa: E731
-        self.served.wait_for(is_there, f"detections of {self.name}")
-
-    def detect(self) -> Detection2DArray:
-        """Send images until one of them is detected; what was found in it."""
-        first_sec = self._sent + 1
+    def detect(self, message: Image | None = None) -> Detection2DArray:
+        """Send images, or the same one again, until one of them is detected; what was found in it."""
+        first_sec = self.sent + 1
 
         def is_detected() -> bool:
-            self.send()
+            self.send(message)
             return bool(self.detections) and self.detections[-1].header.stamp.sec >= first_sec
 
         self.served.wait_for(is_detected, f"a detection of {self.name}")
         return self.detections[-1]
+
+    def see(self, message: Image | None = None) -> Detection2DArray:
+        """Send one image to the subscribed node; what was found in it."""
+        self.served.wait_for(lambda: bool(self.images.get_subscription_count()), "the node to subscribe")
+        return self.detections_of(self.send(message))
+
+    def detections_of(self, header: Header) -> Detection2DArray:
+        """The detections with this header."""
+
+        def found() -> list[Detection2DArray]:
+            return [message for message in self.detections if message.header == header]
+
+        self.served.wait_for(lambda: bool(found()), f"the detections of {self.name}")
+        return found()[0]
 
     def track(self) -> str:
         """Send images until the only object in them has an id."""
@@ -80,36 +102,48 @@ class CameraClient:
         return self.served.counts_of(self.values())
 
 
-class DepthCameraClient(CameraClient):
-    """A camera with depth, which sees a wall at `wall_m` metres; receives detections in space."""
+class DepthClient(CameraClient):
+    """A camera whose depth images show a wall at `wall_m` metres; receives detections in space."""
 
-    def __init__(self, served: ServedNode, name: str, *, wall_m: float) -> None:
-        super().__init__(served, name)
+    def __init__(
+        self, served: ServedNode, name: str = "", *, wall_m: float = 2.0, size_hw: tuple[int, int] = SIZE_HW
+    ) -> None:
+        super().__init__(served, name, size_hw=size_hw)
         self.placed: list[Detection3DArray] = []
-        self._wall_m = np.full(SIZE_HW, wall_m, np.float32)
-        node = served.client
-        self.depth = node.create_publisher(Image, self.topic("depth/image_raw"), 2)
+        self.depth_m = np.full(size_hw, wall_m, np.float32)
+        node, best_effort = served.client, QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.depth = node.create_publisher(Image, self.topic("depth/image_raw"), best_effort)
         self.info = node.create_publisher(CameraInfo, self.topic("depth/camera_info"), 2)
-        node.create_subscription(Detection3DArray, self.topic("detections_3d"), self.placed.append, 10)
+        self.subscription = node.create_subscription(
+            Detection3DArray, self.topic("detections_3d"), self.placed.append, 10
+        )
 
-    def send_depth(self, stamp_s: float, *, encoding: str = "16UC1") -> None:
-        """Send a depth image and its camera_info."""
-        height, width = SIZE_HW
-        info = camera_info_message(stamp_s, height=height, width=width)
-        message = depth_message(self._wall_m, stamp_s)
+    def wait_for_depth(self, count: int = 1) -> None:
+        """Wait until so many subscriptions to each of the depth topics are matched."""
+        publishers = (self.depth, self.info)
+        self.served.wait_for(
+            lambda: all(each.get_subscription_count() == count for each in publishers), "the subscriptions"
+        )
+
+    def send_depth(self, *, encoding: str = "16UC1", with_info: bool = True) -> None:
+        """Send a depth image and its camera_info with the stamp of the next image."""
+        height, width = self.size_hw
+        info = camera_info_message(self.sent + 1, height=height, width=width)
+        message = depth_message(self.depth_m, self.sent + 1)
         message.encoding = encoding
         for sent in (info, message):
             sent.header.frame_id = f"{self.name}_depth"
-        self.info.publish(info)
+        if with_info:
+            self.info.publish(info)
         self.depth.publish(message)
 
-    def place(self) -> Detection3DArray:
+    def place(self, *, with_info: bool = True) -> Detection3DArray:
         """Send images with depth until one is placed; what was published in space."""
-        first_sec = self._sent + 1
+        first_sec = self.sent + 1
 
         def is_placed() -> bool:
             # Messages of different topics arrive in any order: perhaps the next one is paired.
-            self.send_depth(self._sent + 1)
+            self.send_depth(with_info=with_info)
             self.detect()
             return bool(self.placed) and self.placed[-1].header.stamp.sec >= first_sec
 

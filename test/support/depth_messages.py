@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -41,12 +40,3 @@ def camera_info_message(stamp_s: float, **changes: Any) -> CameraInfo:
     for name, value in changes.items():
         setattr(message, name, value)
     return message
-
-
-def prediction_of(boxes_xyxy: Sequence[NDArray[np.float32]], *, padding_y: float) -> NDArray[np.float32]:
-    """Raw rows of a network that finds a cat in each box, `padding_y` pixels above the image in its input."""
-    rows = np.zeros((len(boxes_xyxy), 7), np.float32)
-    for row, (left, top, right, bottom) in zip(rows, boxes_xyxy, strict=True):
-        row[:4] = ((left + right) / 2, (top + bottom) / 2 + padding_y, right - left, bottom - top)
-        row[4:6] = (1.0, 0.9)
-    return rows

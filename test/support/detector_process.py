@@ -21,10 +21,10 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
-from vision_msgs.msg import Detection2DArray, LabelInfo
+from vision_msgs.msg import Detection2DArray
 
 from support.sighting import Sighting
 from support.worker import worker_domain
@@ -36,7 +36,7 @@ from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS
 from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
+from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 NODE = "/yolov5"
@@ -152,17 +152,6 @@ class DetectorProcess:
         """What the node finds in image number `index` of the scene, sent now."""
         return Sighting.of(self.detect(scene_image(index)))
 
-    def late_label_info(self) -> LabelInfo:
-        """What a subscriber gets that comes after the message was sent."""
-        received: list[LabelInfo] = []
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        subscription = self.observer.create_subscription(
-            LabelInfo, f"{NODE}/label_info", received.append, latched
-        )
-        self.observer.wait_for(lambda: bool(received), "label_info")
-        self.observer.destroy_subscription(subscription)
-        return received[-1]
-
     def reset(self) -> None:
         """Unconfigured, with every parameter as it was at the start."""
         self.bring_to("unconfigured")
@@ -224,13 +213,6 @@ def scene_image(index: int = 0, *, encoding: str = "rgb8", padding: int = 0, sce
     message.step = padded.shape[1]
     message.data = array("B", padded.tobytes())
     return message
-
-
-def scene_truth(index: int = 0, *, scene: Scene = SCENE) -> Sighting:
-    """What that image shows."""
-    truth = scene.frame(index)[1]
-    names = tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
-    return Sighting(names, (1.0,) * len(names), truth.boxes_xyxy.astype(np.float64))
 
 
 def is_balanced(status: Mapping[str, str]) -> bool:

@@ -8,8 +8,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
+from support.camera_client import CameraClient
 from support.preparations import Preparations
-from support.served_node import ServedNode, image
 
 SIZE_HW = (96, 128)
 PARAMETERS = ("image_size:=128",)
@@ -57,15 +57,27 @@ class SegmentingModel:
 
 
 class MasksSubscriber:
-    """Receives the masks of a topic."""
+    """Receives the masks of `camera`, which shows the scene."""
 
-    def __init__(self, served: ServedNode, topic: str = "/yolov5/masks") -> None:
-        self._served = served
+    def __init__(self, camera: CameraClient) -> None:
+        self._camera = camera
         self.received: list[Image] = []
-        self._subscription = served.client.create_subscription(Image, topic, self.received.append, 10)
+        self._subscription = camera.served.client.create_subscription(
+            Image, camera.topic("masks"), self.received.append, 10
+        )
 
     def leave(self) -> None:
-        self._served.client.destroy_subscription(self._subscription)
+        self._camera.served.client.destroy_subscription(self._subscription)
+
+    def begin(self) -> None:
+        """Send images until one has masks, as the node may not have discovered the subscriber yet."""
+        before = len(self.received)
+
+        def have_come() -> bool:
+            self._camera.detect()
+            return len(self.received) > before
+
+        self._camera.served.wait_for(have_come, "masks")
 
     def of(self, header: Header) -> Image:
         """The masks with this header."""
@@ -73,55 +85,14 @@ class MasksSubscriber:
         def found() -> list[Image]:
             return [message for message in self.received if message.header == header]
 
-        self._served.wait_for(lambda: bool(found()), "the masks")
+        self._camera.served.wait_for(lambda: bool(found()), "the masks")
         (message,) = found()
         return message
 
-
-class SceneCamera:
-    """The camera without a name, which sends images of the scene."""
-
-    def __init__(self, served: ServedNode) -> None:
-        self._served = served
-        self._sent = 0
-
-    def send(self) -> Header:
-        """Send an image; its header."""
-        self._sent += 1
-        message = image(*SIZE_HW)
-        message.header.stamp.sec = self._sent
-        message.header.frame_id = "lens"
-        self._served.publish(message)
-        return message.header
-
-    def detections(self, header: Header) -> Detection2DArray:
-        """The detections with this header."""
-
-        def found() -> list[Detection2DArray]:
-            return [message for message in self._served.detections if message.header == header]
-
-        self._served.wait_for(lambda: bool(found()), "the detections")
-        (message,) = found()
-        return message
-
-    def detect(self) -> Detection2DArray:
-        """The detections in the next image."""
-        return self.detections(self.send())
-
-    def wait_for_masks(self, masks: MasksSubscriber) -> None:
-        """Send images until one has masks, as the node may not have discovered the subscriber yet."""
-        before = len(masks.received)
-
-        def have_come() -> bool:
-            self.detect()
-            return len(masks.received) > before
-
-        self._served.wait_for(have_come, "masks")
-
-    def segment(self, masks: MasksSubscriber) -> tuple[Detection2DArray, Image]:
+    def segment(self) -> tuple[Detection2DArray, Image]:
         """The detections and masks of the next image."""
-        array = self.detect()
-        return array, masks.of(array.header)
+        array = self._camera.see()
+        return array, self.of(array.header)
 
 
 def pixels(message: Image) -> NDArray[np.uint16]:

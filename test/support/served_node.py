@@ -111,11 +111,6 @@ class ServedNode:
         self._thread.start()
         return self
 
-    @property
-    def serving_thread(self) -> int | None:
-        """Identifier of the thread that serves the node."""
-        return self._thread.ident
-
     def __exit__(self, *_: object) -> None:
         self._stopping = True
         self._thread.join(PATIENCE_S)
@@ -169,13 +164,8 @@ class ServedNode:
 
     def bring_to(self, state: str) -> None:
         """Walk from unconfigured to `state`."""
-        path = {
-            "unconfigured": [],
-            "inactive": ["configure"],
-            "active": ["configure", "activate"],
-            "finalized": ["shutdown"],
-        }
-        for label in path[state]:
+        path = {"inactive": ["configure"], "active": ["configure", "activate"], "finalized": ["shutdown"]}
+        for label in path.get(state, []):
             assert self.transition(label), label
         assert self.state() == state
 
@@ -183,15 +173,12 @@ class ServedNode:
         return str(self.call("get_state", GetState.Request()).current_state.label)
 
     def begin_set(self, **values: Any) -> Any:
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        request = SetParametersAtomically.Request(parameters=parameters)
+        request = SetParametersAtomically.Request(parameters=messages_of(**values))
         return self.begin("set_parameters_atomically", request)
 
     def set(self, **values: Any) -> tuple[bool, str]:
         """Set all together; whether it was done, and the reason if not."""
-        return self.set_messages(
-            [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        )
+        return self.set_messages(messages_of(**values))
 
     def set_messages(self, messages: Sequence[Any]) -> tuple[bool, str]:
         """Like `set`, with parameters as they are sent."""
@@ -210,6 +197,12 @@ class ServedNode:
     def image_subscriptions(self) -> int:
         """How many are in the ROS graph; the count of a publisher misses some that leave at the same time."""
         return int(self.client.count_subscribers("/yolov5/image_raw"))
+
+    def ignore_detections(self) -> None:
+        """Subscribe to detections no longer."""
+        for subscription in [*self.client.subscriptions]:
+            if subscription.topic_name == "/yolov5/detections":
+                self.client.destroy_subscription(subscription)
 
     def publish(self, message: Image | None = None) -> None:
         """Send one image once the node listens."""
@@ -288,6 +281,11 @@ def image(height: int = 48, width: int = 64, encoding: str = "rgb8") -> Image:
     message = Image(height=height, width=width, encoding=encoding, step=width * 3)
     message.data = array("B", bytes([114]) * (height * width * 3))
     return message
+
+
+def messages_of(**values: Any) -> list[Any]:
+    """Parameters as a request has them."""
+    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
 
 
 def class_ids_of(detections: Detection2DArray) -> list[str]:

@@ -1,20 +1,24 @@
-"""Several cameras on one model: each with its own topics, settings, balance and troubles."""
+"""Several cameras on one model: each with its own topics, settings, balance, depth, masks and troubles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import TransitionCallbackReturn
-from support.camera_client import CameraClient
+from support.camera_client import CameraClient, DepthClient
 from support.preparations import Preparations, prediction
+from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel, labels, pixels
 from support.served_node import ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 
 CAMERAS = ("front", "rear")
+WALLS_M = (2.0, 3.0)
+TRACKING = ("tracker:=bytetrack", "track_timeout:=60.0")
 
 
 @pytest.fixture
@@ -25,20 +29,23 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
     assert served.escaped == []
 
 
+@contextmanager
+def active(prepare: Preparations, *parameters: str) -> Iterator[ServedNode]:
+    """The active node with two cameras and these `parameters`."""
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]", *parameters]) as served:
+        served.bring_to("active")
+        yield served
+    assert served.escaped == []
+
+
 @pytest.fixture
-def cameras(served: ServedNode) -> dict[str, CameraClient]:
-    return {name: CameraClient(served, name) for name in CAMERAS}
+def cameras(served: ServedNode) -> list[CameraClient]:
+    return [CameraClient(served, name) for name in CAMERAS]
 
 
-def test_each_camera_has_its_own_topics(served: ServedNode, cameras: dict[str, CameraClient]) -> None:
-    served.bring_to("active")
-    for name, camera in cameras.items():
-        detections = camera.detect()
-        assert class_ids_of(detections) == ["cat"]
-        assert detections.header.frame_id == f"{name}_optical"
-    topics = {name for name, _ in served.node.get_topic_names_and_types()}
-    assert {f"/yolov5/{name}/image" for name in CAMERAS} < topics
-    assert not {"/yolov5/image_raw", "/yolov5/detections"} & set(served_topics(served))
+def found_by(*cameras: CameraClient) -> list[list[str]]:
+    """The classes that each of them detects."""
+    return [class_ids_of(camera.detect()) for camera in cameras]
 
 
 def served_topics(served: ServedNode) -> list[str]:
@@ -50,24 +57,13 @@ def served_topics(served: ServedNode) -> list[str]:
     return [topic for topic, _ in (*publishers, *subscribers)]
 
 
-def test_a_camera_may_override_a_live_setting(served: ServedNode, cameras: dict[str, CameraClient]) -> None:
-    served.bring_to("active")
-    assert served.set(**{"front.confidence_threshold": 0.95}) == (True, "")
-    assert class_ids_of(cameras["front"].detect()) == []
-    assert class_ids_of(cameras["rear"].detect()) == ["cat"]
-    assert served.set(confidence_threshold=0.95) == (True, "")
-    assert served.set(**{"front.confidence_threshold": 0.5}) == (True, "")
-    assert class_ids_of(cameras["front"].detect()) == ["cat"]
-    assert class_ids_of(cameras["rear"].detect()) == []
-
-
-def test_each_camera_has_a_status_and_an_exact_balance(
-    served: ServedNode, cameras: dict[str, CameraClient]
+def test_each_camera_has_its_own_topics_status_and_an_exact_balance(
+    served: ServedNode, cameras: list[CameraClient]
 ) -> None:
     served.bring_to("active")
-    front = cameras["front"]
+    front, rear = cameras
     for _ in range(5):
-        front.detect()
+        assert front.detect().header.frame_id == "front_optical"
     served.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
     statuses = served.statuses()
     assert set(statuses) == {"detection", *CAMERAS}
@@ -75,17 +71,29 @@ def test_each_camera_has_a_status_and_an_exact_balance(
     counts = front.counts()
     assert counts["detected"] >= 5
     assert counts.pop("received") == sum(counts.values())
-    assert cameras["rear"].counts()["received"] == 0
+    assert rear.counts()["received"] == 0
     values = {item.key: item.value for item in statuses["detection"].values}
     assert (values["cameras"], values["state"]) == ("front, rear", "active")
     assert "frames received" not in values
+    assert rear.detect().header.frame_id == "rear_optical"
+    assert {f"/yolov5/{name}/image" for name in CAMERAS} < set(served_topics(served))
+    assert not {"/yolov5/image_raw", "/yolov5/detections"} & set(served_topics(served))
+
+
+def test_a_camera_may_override_a_live_setting(served: ServedNode, cameras: list[CameraClient]) -> None:
+    served.bring_to("active")
+    assert served.set(**{"front.confidence_threshold": 0.95}) == (True, "")
+    assert found_by(*cameras) == [[], ["cat"]]
+    assert served.set(confidence_threshold=0.95) == (True, "")
+    assert served.set(**{"front.confidence_threshold": 0.5}) == (True, "")
+    assert found_by(*cameras) == [["cat"], []]
 
 
 def test_a_camera_that_sends_garbage_is_told_apart_from_the_others(
-    served: ServedNode, cameras: dict[str, CameraClient]
+    served: ServedNode, cameras: list[CameraClient]
 ) -> None:
     served.bring_to("active")
-    front, rear = cameras["front"], cameras["rear"]
+    front, rear = cameras
 
     def are_told_apart() -> bool:
         front.send(image(encoding="nonsense"))
@@ -103,49 +111,34 @@ def test_a_camera_that_sends_garbage_is_told_apart_from_the_others(
     served.wait_for_log("image of camera front rejected: ")
 
 
-def test_failures_of_one_camera_do_not_end_the_detection_of_another(
-    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+def test_failures_of_one_camera_end_the_detection_only_once_the_other_fails_as_well(
+    served: ServedNode, prepare: Preparations, cameras: list[CameraClient]
 ) -> None:
     served.bring_to("active")
     assert served.set(max_consecutive_failures=3) == (True, "")
-    wide = image(48, 128)
+    failing = {128}
 
-    def fail_if_wide() -> np.ndarray:
-        (height, width, _), *_ = prepare.running.calls[-1]
-        if width > 2 * height:
-            raise RuntimeError("too wide")
+    def fail_by_height() -> np.ndarray:
+        (height, _, _), *_ = prepare.running.calls[-1]
+        if height in failing:
+            raise RuntimeError("the device is on fire")
         return prediction("cat", 0.9)
 
-    prepare.running.run = fail_if_wide
-    front, rear = cameras["front"], cameras["rear"]
+    front, rear = cameras
+    rear.detect()
+    front.size_hw = (24, 128)
+    prepare.running.run = fail_by_height
     for failures in range(1, 6):
-        front.send(wide)
-        served.wait_for(lambda wanted=failures: front.counts()["failed"] >= wanted, "the failure")  # type: ignore[misc]
+        served.wait_for(
+            lambda wanted=failures: bool(front.send()) and front.counts()["failed"] >= wanted,  # type: ignore[misc]
+            "the failure",
+        )
         rear.detect()
     assert served.state() == "active"
-    assert "too wide" in front.values()["last problem"]
-
-
-@pytest.mark.long
-def test_a_camera_that_fails_faster_than_others_deliver_does_not_end_their_detection(
-    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
-) -> None:
-    served.bring_to("active")
-    assert served.set(max_consecutive_failures=2) == (True, "")
-    front, rear = cameras["front"], cameras["rear"]
-    rear.detect()
-    rear.wait_for(rear.send())
-    prepare.running.run = fail
-    served.wait_for(lambda: bool(front.send()) and front.counts()["failed"] > 4, "failures in a row")
-    assert served.state() == "active"
-    served.wait_for(
-        lambda: bool(rear.send()) and served.node.state_label == "inactive", "the node to give up"
-    )
+    assert "on fire" in front.values()["last problem"]
+    failing.add(480)
+    served.wait_for(lambda: bool(rear.send()) and served.node.state_label == "inactive", "the end")
     assert "failed frames in a row, the last: RuntimeError: the device is on fire" in served.status().message
-
-
-def fail() -> np.ndarray:
-    raise RuntimeError("the device is on fire")
 
 
 def test_only_the_camera_that_somebody_looks_at_is_subscribed_to(served: ServedNode) -> None:
@@ -160,9 +153,7 @@ def test_only_the_camera_that_somebody_looks_at_is_subscribed_to(served: ServedN
 
 
 @pytest.mark.parametrize("state", ["inactive", "active"])
-def test_other_cameras_need_another_configure(
-    served: ServedNode, cameras: dict[str, CameraClient], state: str
-) -> None:
+def test_other_cameras_need_another_configure(served: ServedNode, state: str) -> None:
     served.bring_to(state)
     done, reason = served.set(cameras=["rear", "left"])
     assert not done
@@ -172,7 +163,7 @@ def test_other_cameras_need_another_configure(
         assert served.transition(label)
     assert served.set(cameras=["rear", "left"]) == (True, "")
     served.bring_to("active")
-    assert class_ids_of(CameraClient(served, "left").detect()) == ["cat"]
+    assert found_by(CameraClient(served, "left")) == [["cat"]]
     assert set(served.statuses()) == {"detection", "rear", "left"}
     assert not any("/front/" in topic for topic in served_topics(served))
 
@@ -184,15 +175,6 @@ def test_a_node_changes_between_one_camera_without_a_name_and_several(served: Se
     assert set(served.statuses()) == {"detection"}
 
 
-def test_cameras_whose_topics_are_remapped_to_one_name_are_refused(prepare: Preparations) -> None:
-    remappings = ["--ros-args", "-r", "~/left/image:=/seen", "-r", "~/right/image:=/seen"]
-    with ServedNode(prepare, parameters=["cameras:=[left, right]"], arguments=remappings) as served:
-        assert not served.transition("configure")
-        assert "~/left/image and ~/right/image are remapped to the same topic, /seen" in (
-            served.status().message
-        )
-
-
 LONG = "a" * 64
 LONG_NAMESPACE = f"/{'n' * 170}"
 QOS_OF_FRONT = f"qos_overrides.{LONG_NAMESPACE}/yolov5/front/image_raw.subscription.depth:=2"
@@ -202,11 +184,8 @@ QOS_OF_FRONT = f"qos_overrides.{LONG_NAMESPACE}/yolov5/front/image_raw.subscript
 def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_it_is_renamed(
     prepare: Preparations, overrides: list[str]
 ) -> None:
-    parameters, arguments = (
-        [f"cameras:=[{LONG}]", *overrides],
-        ["--ros-args", "-r", f"__ns:={LONG_NAMESPACE}"],
-    )
-    with ServedNode(prepare, parameters=parameters, arguments=arguments) as served:
+    arguments = ["--ros-args", "-r", f"__ns:={LONG_NAMESPACE}"]
+    with ServedNode(prepare, parameters=[f"cameras:=[{LONG}]", *overrides], arguments=arguments) as served:
         served.wait_for(lambda: bool(served.diagnostics), "diagnostics")
         assert served.node.trigger_configure() is TransitionCallbackReturn.FAILURE
         told = f"ROS refuses the full name of ~/{LONG}/detections"
@@ -217,19 +196,81 @@ def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_i
 
 
 def test_a_new_model_serves_all_cameras_and_is_warmed_up_for_the_size_of_each(
-    served: ServedNode, prepare: Preparations, cameras: dict[str, CameraClient]
+    served: ServedNode, prepare: Preparations, cameras: list[CameraClient]
 ) -> None:
     served.bring_to("active")
-    wide = image(48, 128)
-    cameras["rear"].send(wide)
-    served.wait_for(lambda: bool(cameras["rear"].detections), "the wide image")
+    cameras[1].size_hw = (48, 128)
+    cameras[1].detect()
     assert served.set(image_size=320) == (True, "")
     assert prepare.sizes_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
     prepare.running.run = lambda: prediction("dog", 0.9)
-    assert [class_ids_of(camera.detect()) for camera in cameras.values()] == [["dog"], ["dog"]]
+    assert found_by(*cameras) == [["dog"], ["dog"]]
 
 
-def test_ids_of_tracks_are_unique_among_cameras(served: ServedNode, cameras: dict[str, CameraClient]) -> None:
-    assert served.set(tracker="bytetrack") == (True, "")
-    served.bring_to("active")
-    assert len({camera.track() for camera in cameras.values()}) == len(CAMERAS)
+def test_each_camera_places_its_tracks_in_its_own_frame_while_its_depth_is_on(prepare: Preparations) -> None:
+    with active(prepare, "depth:=true", *TRACKING) as served:
+        cameras = [
+            DepthClient(served, name, wall_m=wall_m) for name, wall_m in zip(CAMERAS, WALLS_M, strict=True)
+        ]
+        ids = [camera.track() for camera in cameras]
+        assert len(set(ids)) == len(CAMERAS)
+        for camera, track_id, wall_m in zip(cameras, ids, WALLS_M, strict=True):
+            (placed,) = camera.place().detections
+            assert placed.header.frame_id == f"{camera.name}_depth"
+            assert placed.id == track_id
+            assert placed.bbox.center.position.z == pytest.approx(wall_m, rel=0.01)
+        front, rear = cameras
+        assert served.set(**{"front.depth": False, "rear.tracker": "none"}) == (True, "")
+        count = len(front.placed)
+        front.send_depth()
+        front.detect()
+        assert rear.place().detections[0].id == ""
+        assert (len(front.placed), front.track()) == (count, ids[0])
+        assert served.client.count_subscribers(front.topic("depth/image_raw")) == 0
+        told = "~/front/detections_3d has a subscriber, but nothing is published on it: set depth to true"
+        served.wait_for(
+            lambda: bool(front.detect()) and served.statuses()["front"].message == told, "the remark"
+        )
+        assert served.set(**{"front.depth": True}) == (True, "")
+        front.place()
+
+
+def reliability(camera: CameraClient) -> str:
+    """Of the subscription to the images of the camera."""
+    infos = camera.served.client.get_subscriptions_info_by_topic(camera.topic("image_raw"))
+    return " ".join(info.qos_profile.reliability.name.lower() for info in infos)
+
+
+def test_each_camera_may_have_a_transport_and_a_reliability_of_its_own(prepare: Preparations) -> None:
+    choice = ("front.image_transport:=compressed", "rear.image_reliability:=best_effort")
+    with active(prepare, *choice) as served:
+        front, rear = CameraClient(served, "front", is_compressed=True), CameraClient(served, "rear")
+        assert found_by(front, rear) == [["cat"], ["cat"]]
+        topics = [camera.values()["image topic"] for camera in (front, rear)]
+        assert topics == ["/yolov5/front/image_raw/compressed", "/yolov5/rear/image_raw"]
+        assert (reliability(front), reliability(rear)) == ("", "best_effort")
+        exchange = {"rear.image_transport": "compressed", "front.image_transport": "raw"}
+        assert served.set(**exchange) == (True, "")
+        front, rear = CameraClient(served, "front"), CameraClient(served, "rear", is_compressed=True)
+        assert found_by(front, rear) == [["cat"], ["cat"]]
+        served.wait_for(lambda: reliability(front) == "reliable", "that of the publisher")
+        assert rear.values()["image reliability"] == "best_effort"
+
+
+def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone(prepare: Preparations) -> None:
+    model = SegmentingModel(prepare)
+    with active(prepare, *PARAMETERS) as served:
+        front, rear = (CameraClient(served, name, size_hw=SIZE_HW) for name in CAMERAS)
+        rear.detect()
+        masks = MasksSubscriber(front)
+        masks.begin()
+        masks.segment()  # the last of the images above
+        before = model.computed
+        assert class_ids_of(rear.see()) == ["cat", "dog"]
+        assert model.computed == before
+        of_rear = MasksSubscriber(rear)
+        of_rear.begin()
+        for camera, subscriber in ((front, masks), (rear, of_rear)):
+            _, message = subscriber.segment()
+            assert {one.header.frame_id for one in subscriber.received} == {f"{camera.name}_optical"}
+            np.testing.assert_array_equal(pixels(message), labels())

@@ -4,264 +4,256 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from itertools import cycle
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import String
-from support.depth_client import DEPTH_ON, PADDING_Y, SCENE, DepthClient
-from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header, prediction_of
-from support.depth_scene import CAMERA, DepthScene, Difficulty, random_depth_scene
-from support.hostile_depth import hostile_camera_infos, hostile_depths
-from support.preparations import Preparations
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
-from vision_msgs.msg import Detection3DArray
+from support.camera_client import DepthClient
+from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header
+from support.depth_scene import CAMERA, random_depth_scene
+from support.lone_node import lone_node
+from support.preparations import Preparations, prediction
+from support.served_node import PATIENCE_S, ServedNode
 
+from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
+from yolov5_lifecycle.spatial.placement import Box3D, Unplaced
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY
 
-EMPTY = np.zeros(CAMERA.size_hw, np.float32)
+# What is received and placed, without a detector
+
+
+SCENE = random_depth_scene(np.random.default_rng(5), "board")
+PIXELS = np.ones((24, 32), np.float32)
+UINT32_MAX = 2**32 - 1
+LONG_NAME = header(1.0)
+LONG_NAME.frame_id = "x" * 100_000
+HOSTILE_DEPTHS: dict[str, dict[str, Any]] = {
+    "found encoding 'rgb8'": {"encoding": "rgb8"},
+    "found encoding '16UC1; compressedDepth'": {"encoding": "16UC1; compressedDepth"},
+    "need a step >= 64, found 0": {"step": 0},
+    "need 98784247849 bytes": {"step": UINT32_MAX},
+    "found 0": {"height": 0},
+    "found 4294967295": {"height": UINT32_MAX, "width": UINT32_MAX},
+    "found 1535": {"data": depth_message(PIXELS, 1.0).data[:-1]},
+    "frame_id of at most 256 characters, found 100000": {"header": LONG_NAME},
+}
+"""Changes of a depth image by a part of the reason for which it is rejected."""
+HOSTILE_CAMERA_INFOS: dict[str, dict[str, Any]] = {
+    **{f"found fx {fx:g}": {"k": [fx] * 9} for fx in (0.0, float("nan"), float("inf"), 1e-300, -1.0)},
+    "frame_id of at most 256 characters, found 100000": {"header": LONG_NAME},
+    "found 240 x 0": {"width": 0},
+    "found 240 x 4294967295": {"width": UINT32_MAX},
+}
+
+
+@pytest.fixture
+def depth(ros_domain: int) -> Iterator[DepthInput]:
+    with lone_node("yolov5") as node:
+        yield DepthInput(node, slop_s=0.05)
+
+
+def placed(
+    depth: DepthInput, stamp_s: float = 1.0, size_hw: tuple[int, int] = CAMERA.size_hw
+) -> PlacedImage | None:
+    return depth.place(SCENE.box_xyxy[None], size_hw, header(stamp_s).stamp)
+
+
+def fill(depth: DepthInput, stamp_s: float = 1.0) -> None:
+    depth.take_image(depth_message(SCENE.depth_m, stamp_s))
+    depth.take_camera_info(camera_info_message(stamp_s))
+
+
+def test_a_detection_is_placed_in_the_frame_of_the_depth_image(depth: DepthInput) -> None:
+    fill(depth)
+    image = placed(depth, 1.04)
+    assert image is not None
+    (box,) = image.placements
+    assert isinstance(box, Box3D)
+    assert np.linalg.norm(np.subtract(box.centre_xyz_m, SCENE.centre_xyz_m)) < 0.05 * SCENE.range_m
+    assert (image.frame_id, image.distances_m) == (DEPTH_FRAME, [box.distance_m])
+    assert (depth.counts.placed, depth.counts.placed_images, depth.run) == (1, 1, None)
+
+
+def test_hostile_messages_are_rejected_with_the_reason_and_those_before_them_stay(depth: DepthInput) -> None:
+    fill(depth)
+    for why, changes in HOSTILE_DEPTHS.items():
+        message = depth_message(PIXELS, 1.0)
+        for name, value in changes.items():
+            setattr(message, name, value)
+        depth.take_image(message)
+        assert why in depth.status().recently_rejected
+    for why, changes in HOSTILE_CAMERA_INFOS.items():
+        depth.take_camera_info(camera_info_message(1.0, **changes))
+        assert why in depth.status().recently_rejected
+    assert depth.counts.rejected_depth_images == depth.counts.depth_images - 1 == len(HOSTILE_DEPTHS)
+    assert depth.counts.rejected_camera_infos == len(HOSTILE_CAMERA_INFOS)
+    assert placed(depth) is not None
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "size_hw", "reason", "told"),
+    [
+        pytest.param(1.2, CAMERA.size_hw, Unplaced.NO_DEPTH_IMAGE, "older than the colour image", id="late"),
+        pytest.param(1.0, (48, 64), Unplaced.OTHER_SIZE, "images of 64x48, depth images of", id="size"),
+    ],
+)
+def test_an_image_whose_detections_have_no_place_is_counted_with_the_reason(
+    depth: DepthInput, stamp_s: float, size_hw: tuple[int, int], reason: Unplaced, told: str
+) -> None:
+    fill(depth)
+    assert placed(depth, stamp_s, size_hw) is None
+    assert (depth.counts.unplaced, depth.counts.unplaced_images) == ({reason: 1}, 1)
+    assert depth.run is not None
+    assert told in depth.run.reason
+
+
+def test_a_detection_without_measurements_is_counted_alone(depth: DepthInput) -> None:
+    fill(depth)
+    depth.take_image(depth_message(np.full_like(SCENE.depth_m, np.nan), 1.01, encoding="32FC1"))
+    image = placed(depth, 1.01)
+    assert image == PlacedImage((Unplaced.NO_VALID_DEPTH,), DEPTH_FRAME)
+    assert image is not None
+    assert image.distances_m == [None]
+    assert depth.counts.unplaced == {Unplaced.NO_VALID_DEPTH: 1}
+    assert (depth.counts.placed, depth.counts.placed_images) == (0, 1)
+
+
+def test_a_run_of_images_without_depth_lasts_until_one_has_depth(ros_domain: int) -> None:
+    times_s = iter((5.0, 6.0, 9.0))
+    with lone_node("yolov5") as node:
+        depth = DepthInput(node, slop_s=0.05, clock=lambda: next(times_s))
+        for _ in range(3):
+            placed(depth)
+        assert depth.run is not None
+        assert (depth.run.begun_s, depth.run.ended_s) == (5.0, 9.0)
+        fill(depth)
+        assert placed(depth) is not None
+        assert depth.run is None
+
+
+def test_what_was_received_before_is_forgotten(depth: DepthInput) -> None:
+    depth.follow(is_needed=True)
+    fill(depth)
+    depth.follow(is_needed=False)
+    assert placed(depth) is None
+    assert depth.counts.unplaced == {Unplaced.NO_DEPTH_IMAGE: 1}
+
+
+# The node
 
 
 @pytest.fixture
 def client(prepare: Preparations) -> Iterator[DepthClient]:
-    with ServedNode(prepare, parameters=DEPTH_ON) as served:
-        yield DepthClient(served, prepare)
+    with ServedNode(prepare, parameters=["depth:=true"]) as served:
+        yield DepthClient(served)
     assert served.escaped == []
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
-def test_detections_are_placed_where_the_objects_are(client: DepthClient, encoding: str) -> None:
-    client.begin()
-    rng = np.random.default_rng(11)
-    errors = []
-    for _ in range(12):
-        scene = random_depth_scene(rng, "board", Difficulty(hole_share=0.3))
-        client.show(scene)
-        array = client.place(scene, encoding=encoding)
-        (detection,) = array.detections
-        centre = detection.bbox.center.position
-        found = np.array([centre.x, centre.y, centre.z])
-        errors.append(float(np.linalg.norm(found - scene.centre_xyz_m)) / scene.range_m)
-    assert np.median(errors) <= 0.02
-    assert sorted(errors)[-2] <= 0.05
+def begin(client: DepthClient) -> None:
+    client.served.bring_to("active")
+    client.wait_for_depth()
 
 
-def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(client: DepthClient) -> None:
-    client.begin()
+def test_the_array_in_space_has_the_stamp_ids_and_scores_of_that_in_the_image(
+    client: DepthClient, prepare: Preparations
+) -> None:
+    begin(client)
     array = client.place()
-    plain = next(one for one in client.served.detections if one.header.stamp == array.header.stamp)
-    assert plain.header.frame_id == "colour"
-    assert array.header.frame_id == DEPTH_FRAME
+    plain = client.detections_of(client.detections[-1].header)
     (placed,), (detection,) = array.detections, plain.detections
+    assert (array.header.frame_id, plain.header.frame_id) == ("_depth", "_optical")
     assert placed.header == array.header
     assert placed.id == detection.id
-    assert [result.hypothesis for result in placed.results] == [
-        result.hypothesis for result in detection.results
-    ]
+    assert [one.hypothesis for one in placed.results] == [one.hypothesis for one in detection.results]
     status = client.served.status()
     assert status.message == "detecting"
     values = {item.key: item.value for item in status.values}
     assert int(values["detections placed"]) >= 1
     assert int(values["images with depth"]) >= 1
+    prepare.running.run = lambda: np.zeros((1, 7), np.float32)
+    assert client.place().detections == [], "an image without objects has an empty array"
 
 
-@pytest.mark.long
 def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
     client: DepthClient, prepare: Preparations
 ) -> None:
-    client.begin()
+    begin(client)
     client.place()
-    rows = prediction_of([SCENE.box_xyxy], padding_y=PADDING_Y)
     entered, release = threading.Event(), threading.Event()
 
     def slow() -> NDArray[np.float32]:
         entered.set()
         assert release.wait(PATIENCE_S)
-        return rows
+        return prediction("cat", 0.9)
 
     prepare.running.run = slow
-    stamp_s = client.next_stamp_s()
-    client.send(depth_message(SCENE.depth_m, stamp_s), None)
-    message = image(*CAMERA.size_hw)
-    message.header = header(stamp_s)
-    client.served.publish(message)
+    received = int(client.served.values()["depth images received"])
+    client.send_depth()
+
+    def are_received(count: int) -> bool:
+        return int(client.served.values()["depth images received"]) >= received + count
+
+    client.served.wait_for(lambda: are_received(1), "the depth image")
+    shown = client.send()
     client.served.wait_for(entered.is_set, "inference to begin")
-    for _ in range(2 * CAPACITY):
-        client.send(depth_message(EMPTY, client.next_stamp_s()), None)
+    client.depth_m[:] = 0
+    for number in range(2, CAPACITY + 3):
+        client.depth.publish(depth_message(client.depth_m, client.sent + number))
+        client.served.wait_for(lambda: are_received(number), "the depth image")  # noqa: B023
     release.set()
-    client.served.wait_for(lambda: client.received[-1].header.stamp == message.header.stamp, "its place")
-    assert len(client.received[-1].detections) == 1
+    client.served.wait_for(lambda: client.placed[-1].header.stamp == shown.stamp, "its place")
+    assert len(client.placed[-1].detections) == 1
 
 
-def test_an_image_without_objects_has_an_empty_array_in_space(
-    client: DepthClient, prepare: Preparations
-) -> None:
-    client.begin()
-    client.place()
-    prepare.running.run = lambda: np.zeros((1, 7), np.float32)
-    assert client.place().detections == []
+def test_an_image_without_camera_info_is_detected_and_counted_with_the_reason(client: DepthClient) -> None:
+    begin(client)
+
+    def is_counted() -> bool:
+        client.send_depth(with_info=False)
+        assert len(client.detect().detections) == 1
+        return int(client.served.values()["unplaced: no camera_info"]) >= 1
+
+    client.served.wait_for(is_counted, "the count")
+    assert client.served.values()["detections placed"] == "0"
+    assert client.placed == [], "an empty array would say that there is no object"
 
 
-@pytest.mark.parametrize(
-    ("delay_s", "has_info", "reason"),
-    [
-        pytest.param(None, True, "no depth image", id="none"),
-        pytest.param(0.01, False, "no camera_info", id="no camera_info"),
-    ],
-)
-def test_an_image_without_depth_is_detected_and_counted_with_the_reason(
-    client: DepthClient, delay_s: float | None, has_info: bool, reason: str
-) -> None:
-    client.begin()
-    stamp_s = client.next_stamp_s()
-    client.send(
-        None if delay_s is None else depth_message(SCENE.depth_m, stamp_s + delay_s),
-        camera_info_message(stamp_s) if has_info else None,
-    )
-    assert client.detect(stamp_s) == 1
-    values = client.values_until(lambda now: now[f"unplaced: {reason}"] == "1", "the count")
-    assert values["images without depth"] == "1"
-    assert values["detections placed"] == "0"
-    assert client.received == [], "an empty array would say that there is no object"
+def test_depth_is_switched_on_and_off_while_the_node_detects(served: ServedNode) -> None:
+    client = DepthClient(served)
+    served.bring_to("active")
+    told = "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
 
+    def is_told() -> bool:
+        client.detect()
+        return bool(served.status().message == told)
 
-def test_a_detection_without_measurements_is_in_the_image_only(client: DepthClient) -> None:
-    client.begin()
-    client.place()
-    blind = DepthScene(EMPTY, SCENE.box_xyxy, SCENE.centre_xyz_m, SCENE.size_xyz_m)
-    array = client.place(blind)
-    assert array.detections == []
-    assert len(client.served.detections[-1].detections) == 1
-    client.values_until(lambda now: int(now["unplaced: no valid depth in box"]) > 0, "the count")
-
-
-def test_hostile_messages_are_rejected_counted_and_explained_and_the_next_is_used(
-    client: DepthClient,
-) -> None:
-    client.begin()
-    client.place()
-    depths, infos = hostile_depths().values(), hostile_camera_infos().values()
-
-    def are_rejected() -> bool:
-        client.served.images.publish(image(*CAMERA.size_hw))
-        for depth, info in zip(depths, cycle(infos), strict=False):
-            client.depth.publish(depth)
-            client.info.publish(info)
-        status = client.served.diagnostics[-1].status[0]
-        values = {item.key: item.value for item in status.values}
-        fewest = min(int(values[f"{what} rejected"]) for what in ("depth images", "camera_infos"))
-        return fewest >= 100 and "no place in space: " in status.message
-
-    client.served.status()
-    client.served.wait_for(are_rejected, "a hundred rejections and the hint")
-    client.served.wait_for_log("depth image rejected: ")
-    client.served.wait_for_log("camera_info rejected: ")
-    assert client.detect(client.next_stamp_s()) == 1
+    served.wait_for(is_told, "the remark")
+    assert "depth topic" not in served.values()
+    assert served.set(depth=True) == (True, "")
     assert len(client.place().detections) == 1
-
-
-def test_depth_is_switched_on_and_off_while_the_node_detects(prepare: Preparations) -> None:
-    with ServedNode(prepare, parameters=["image_size:=320"]) as served:
-        client = DepthClient(served, prepare)
-        served.bring_to("active")
-        client.show(SCENE)
-        told = "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
-
-        def is_told() -> bool:
-            assert client.detect(client.next_stamp_s()) == 1
-            return bool(served.status().message == told)
-
-        served.wait_for(is_told, "the remark")
-        assert "depth images received" not in served.values()
-        assert served.client.count_subscribers("/yolov5/depth/image_raw") == 0
-        assert served.set(depth=True) == (True, "")
-        client.wait_for_depth()
-        assert len(client.place().detections) == 1
-        assert served.set(depth_slop_s=0.2) == (True, "")
-        client.wait_for_depth()
-        assert len(client.place().detections) == 1
-        assert served.set(depth=False) == (True, "")
-        client.wait_for_depth(0)
-        switched_off_s = client.next_stamp_s()  # what was detected before may still arrive
-        served.wait_for(is_told, "the remark")
-        assert [array for array in client.received if array.header.stamp.sec >= switched_off_s] == []
-    assert served.escaped == []
+    assert served.set(depth=False) == (True, "")
+    client.wait_for_depth(0)
+    last_sec = client.sent  # what was detected before may still arrive
+    served.wait_for(is_told, "the remark")
+    assert [array for array in client.placed if array.header.stamp.sec > last_sec] == []
 
 
 def test_a_lazy_node_needs_depth_only_for_those_who_show_it(client: DepthClient) -> None:
-    client.begin()
-    for subscription in list(client.served.client.subscriptions):
-        if subscription.topic == "/yolov5/detections":
-            client.served.client.destroy_subscription(subscription)
-    client.served.wait_for(lambda: client.served.image_subscriptions() == 1, "the node to stay subscribed")
+    begin(client)
+    served = client.served
+    served.ignore_detections()
+    served.wait_for(lambda: served.image_subscriptions() == 1, "the node to stay subscribed")
     client.wait_for_depth()
-    client.served.client.destroy_subscription(client.subscription)
+    served.client.destroy_subscription(client.subscription)
     client.wait_for_depth(0)
-    client.served.wait_for(lambda: client.served.image_subscriptions() == 0, "the node to unsubscribe")
-    client.served.client.create_subscription(Image, "/yolov5/image", lambda _: None, 1)
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+    served.client.create_subscription(Image, "/yolov5/image", lambda _: None, 1)
     client.wait_for_depth()
-    assert client.served.transition("deactivate")
+    assert served.transition("deactivate")
     client.wait_for_depth(0)
-
-
-@pytest.mark.long
-def test_a_missing_depth_camera_is_named(prepare: Preparations) -> None:
-    arguments = ["--ros-args", "-r", "~/depth/image_raw:=/depth/aligned"]
-    with ServedNode(prepare, parameters=DEPTH_ON, arguments=arguments) as served:
-        served.bring_to("active")
-        served.client.create_subscription(Detection3DArray, "/yolov5/detections_3d", lambda _: None, 1)
-
-        def is_told() -> bool:
-            served.publish()
-            return "no publisher of depth images on /depth/aligned" in served.status().message
-
-        served.wait_for(is_told, "the hint")
-
-
-@pytest.mark.parametrize("name", ["image_raw", "camera_info"])
-def test_a_subscription_that_the_middleware_refuses_is_told_until_it_succeeds(
-    prepare: Preparations, name: str
-) -> None:
-    """Fast DDS has one type for a topic in one process, and the client is in the node's."""
-    told = f"cannot subscribe to /yolov5/depth/{name}: "
-    with ServedNode(prepare, parameters=DEPTH_ON) as served:
-        other = served.client.create_publisher(String, f"/yolov5/depth/{name}", 1)
-        served.bring_to("active")
-        served.client.create_subscription(Detection3DArray, "/yolov5/detections_3d", lambda _: None, 10)
-
-        def is_told() -> bool:
-            assert class_ids_of(served.detect()) == ["cat"]
-            message: str = served.status().message
-            return message.startswith(told) and message.endswith(": detections have no place in space")
-
-        served.wait_for(is_told, "the hint")
-        served.wait_for_log(told)
-        served.client.destroy_publisher(other)
-        client = DepthClient(served, prepare)
-        client.show(SCENE)
-        client.wait_for_depth()
-        assert len(client.place().detections) == 1
-        refusals = [said for said in served.log if told in said and "no place in space" not in said]
-        assert len(refusals) == 1, "besides the hint"
-    assert served.escaped == []
-
-
-def test_the_subscription_takes_the_reliability_that_the_depth_cameras_offer(client: DepthClient) -> None:
-    client.begin()
-    topics = {"/yolov5/depth/image_raw": "BEST_EFFORT", "/yolov5/depth/camera_info": "RELIABLE"}
-
-    def offered() -> dict[str, str]:
-        return {
-            topic: info.qos_profile.reliability.name
-            for topic in topics
-            for info in client.served.client.get_subscriptions_info_by_topic(topic)
-        }
-
-    client.served.wait_for(lambda: offered() == topics, "the reliability of each")
 
 
 def test_a_camera_info_that_was_latched_before_the_node_subscribed_is_used(client: DepthClient) -> None:
@@ -269,8 +261,11 @@ def test_a_camera_info_that_was_latched_before_the_node_subscribed_is_used(clien
     node.destroy_publisher(client.info)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     client.info = node.create_publisher(CameraInfo, topic, latched)
-    client.info.publish(camera_info_message(client.next_stamp_s()))
-    client.begin()
+    height, width = client.size_hw
+    client.info.publish(camera_info_message(1.0, height=height, width=width))
+    begin(client)
     assert len(client.place(with_info=False).detections) == 1
     volatile = node.create_publisher(CameraInfo, topic, 2)
     client.served.wait_for(lambda: volatile.get_subscription_count() == 1, "a subscription that matches both")
+    (subscription,) = node.get_subscriptions_info_by_topic("/yolov5/depth/image_raw")
+    assert subscription.qos_profile.reliability.name == "BEST_EFFORT", "as the publisher offers"

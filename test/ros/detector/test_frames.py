@@ -1,17 +1,32 @@
-"""One frame: detected, rejected, failed or skipped, and counted."""
+"""One frame: received, detected, rejected, failed or skipped, counted and published."""
 
 from __future__ import annotations
-
-import threading
-import time
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
 from support.preparations import Preparations, prediction
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+from support.served_node import ServedNode, class_ids_of, image
 
-from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
+
+def fail() -> np.ndarray:
+    raise RuntimeError("the device is on fire")
+
+
+def test_detections_carry_the_header_of_their_image(served: ServedNode) -> None:
+    served.bring_to("active")
+    message = image()
+    message.header.frame_id = "front"
+    message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
+    served.publish(message)
+    served.wait_for(lambda: bool(served.detections), "a detection")
+    array = served.detections[0]
+    assert array.header == message.header
+    assert [detection.header for detection in array.detections] == [message.header]
+    assert array.detections[0].id == ""
+    assert (array.detections[0].bbox.size_x, array.detections[0].bbox.size_y) == pytest.approx((2, 1))
 
 
 def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNode) -> None:
@@ -20,6 +35,7 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     served.wait_for(lambda: "'nonsense' is not supported" in served.status().message, "the rejection")
     assert served.counts()["rejected"] == 1
     assert class_ids_of(served.detect()) == ["cat"]
+    served.wait_for(lambda: served.counts()["pending"] == 0, "the last frame")
     counts = served.counts()
     assert counts.pop("received") == sum(counts.values())
 
@@ -38,49 +54,9 @@ def test_an_image_with_a_long_frame_id_is_rejected_before_it_is_detected(
     assert not prepare.running.calls
 
 
-@pytest.mark.long
-def test_rejected_images_do_not_flood_the_log(served: ServedNode) -> None:
-    served.bring_to("active")
-    begun_s = time.monotonic()
-
-    def are_rejected() -> bool:
-        served.images.publish(image(encoding="nonsense"))
-        values = {item.key: item.value for item in served.diagnostics[-1].status[0].values}
-        return int(values["frames rejected"]) >= 100
-
-    served.status()
-    served.wait_for(are_rejected, "a hundred rejections")
-    counts = served.counts()
-    assert counts["received"] == counts["rejected"] + counts["stale"] + counts["pending"]
-    assert not served.transition("nonsense")
-    served.wait_for_log("'nonsense' refused")
-    most = (time.monotonic() - begun_s) / 5 + 1
-    assert 1 <= sum("image rejected: " in said for said in served.log) <= most
-
-
-def fail() -> np.ndarray:
-    raise RuntimeError("the device is on fire")
-
-
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(
     served: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("active")
-    assert served.set(max_consecutive_failures=2) == (True, "")
-    prepare.running.run = fail
-    served.send_until(lambda: served.node.state_label == "inactive", "the node to give up")
-    status = served.status()
-    assert status.message == "deactivated after 2 failed frames in a row, the last: " + (
-        "RuntimeError: the device is on fire"
-    )
-    assert status.level == DiagnosticStatus.ERROR
-    assert prepare.running.is_closed
-    assert served.transition("activate")
-    assert class_ids_of(served.detect()) == ["cat"]
-    assert served.status().level != DiagnosticStatus.ERROR
-
-
-def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     assert served.set(max_consecutive_failures=2) == (True, "")
     runtime = prepare.running
@@ -89,47 +65,19 @@ def test_a_detected_frame_ends_the_count_of_failures(served: ServedNode, prepare
         return fail() if len(runtime.calls) % 2 else prediction("cat", 0.9)
 
     runtime.run = fail_every_other_time
-    served.send_until(lambda: len(runtime.calls) >= 8, "eight frames")
+    served.send_until(lambda: len(runtime.calls) >= 8, "eight frames, of which no two in a row fail")
     assert served.state() == "active"
-
-
-def test_a_hung_inference_does_not_block_deactivate(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    entered, release = threading.Event(), threading.Event()
-
-    def hang() -> np.ndarray:
-        entered.set()
-        release.wait(10 * PATIENCE_S)
-        return prediction("cat", 0.9)
-
-    prepare.running.run = hang
-    served.publish()
-    served.wait_for(entered.is_set, "inference to hang")
-    assert served.state() == "active"
-    hint = "s so far. If inference hangs, deactivate and activate the node"
-    served.wait_for(lambda: hint in served.status().message, "the hint")
-    served.wait_for_log(hint)
-    assert served.transition("deactivate"), "although inference still hangs"
-    given_up = abandoned(REST_TIMEOUT_S)
-    assert served.status().message == given_up
-    served.wait_for_log(given_up)
-    release.set()
+    runtime.run = fail
+    served.send_until(lambda: served.node.state_label == "inactive", "the node to give up")
+    status = served.status()
+    assert status.message == "deactivated after 2 failed frames in a row, the last: " + (
+        "RuntimeError: the device is on fire"
+    )
+    assert status.level == DiagnosticStatus.ERROR
+    assert runtime.is_closed
     assert served.transition("activate")
     assert class_ids_of(served.detect()) == ["cat"]
-
-
-def test_detections_carry_the_header_of_their_image(served: ServedNode) -> None:
-    served.bring_to("active")
-    message = image()
-    message.header.frame_id = "front"
-    message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
-    served.publish(message)
-    served.wait_for(lambda: bool(served.detections), "a detection")
-    array = served.detections[0]
-    assert array.header == message.header
-    assert [detection.header for detection in array.detections] == [message.header]
-    assert array.detections[0].id == ""
-    assert (array.detections[0].bbox.size_x, array.detections[0].bbox.size_y) == pytest.approx((2, 1))
+    assert served.status().level != DiagnosticStatus.ERROR
 
 
 def test_a_rate_limit_skips_and_counts_the_frames_between(served: ServedNode) -> None:
@@ -139,3 +87,54 @@ def test_a_rate_limit_skips_and_counts_the_frames_between(served: ServedNode) ->
     served.send_until(lambda: served.counts()["skipped"] > 0, "an image that comes too early")
     counts = served.counts()
     assert counts["received"] == sum(counts.values()) - counts["received"]
+
+
+def test_labels_are_latched_with_the_current_threshold(served: ServedNode) -> None:
+    served.bring_to("active")
+    info = served.label_info()
+    assert [(label.class_id, label.class_name) for label in info.class_map] == [(0, "cat"), (1, "dog")]
+    assert info.threshold == pytest.approx(0.25)
+    served.set(confidence_threshold=0.5)
+    assert served.label_info().threshold == pytest.approx(0.5)
+
+
+def test_without_subscribers_a_lazy_node_does_not_subscribe(served: ServedNode) -> None:
+    assert served.status().message.startswith("unconfigured: ")
+    served.bring_to("active")
+    served.publish()
+    served.ignore_detections()
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+    status = served.status()
+    assert "no subscribers" in status.message
+    values = {item.key: item.value for item in status.values}
+    assert (values["state"], values["runtime"], values["sha256"]) == ("active", "scripted", "0" * 64)
+    assert served.set(lazy=False) == (True, "")
+    served.wait_for(lambda: served.image_subscriptions() == 1, "the node to subscribe")
+
+
+def test_the_subscription_takes_the_reliability_that_the_cameras_offer_unless_another_is_set(
+    prepare: Preparations,
+) -> None:
+    arguments = ["--ros-args", "-r", "~/image_raw:=/front/image"]
+    with ServedNode(prepare, arguments=arguments) as served:
+        reliable = served.client.create_publisher(Image, "/front/image", 1)
+        served.bring_to("active")
+        served.wait_for(lambda: served.values()["image reliability"] == "reliable", "a reliable subscription")
+        best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        camera = served.client.create_publisher(Image, "/front/image", best_effort)
+        served.wait_for(lambda: served.values()["image reliability"] == "best_effort", "best effort")
+        served.client.destroy_publisher(reliable)
+        assert served.set(image_reliability="reliable") == (True, "")
+        told = "a best-effort publisher on /front/image does not match"
+        served.wait_for(lambda: told in served.status().message, "the mismatch")
+        assert served.set(image_reliability="auto", confidence_threshold=0.95) == (True, "")
+
+        def is_empty() -> bool:
+            camera.publish(image())
+            return int(served.values()["empty frames in a row"]) > 0
+
+        served.wait_for(is_empty, "a frame without detections")
+        assert served.values()["best score in them"] == "0.9"
+        assert served.set(image_transport="compressed") == (True, "")
+        assert served.values()["image topic"] == "/front/image/compressed"
+    assert served.escaped == []

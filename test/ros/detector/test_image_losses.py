@@ -13,127 +13,105 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
 from support.detector_process import as_arguments, environment, is_matched_reliably
-from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
-from yolov5_lifecycle.ros.camera.settings import declared_settings
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, ReceivedFrame
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.sources.source import open_source
 
 FRONT, REAR = b"front", b"rear"
 TOPIC = "/receiver/image_raw"
 
 
-def single(publisher: bytes | None = FRONT) -> ImageLosses:
-    """Losses of a subscription that has matched one publisher."""
+Step = tuple[object, ...]
+"""What happens: images with these sequence numbers are taken, also one that came `late`, or another event."""
+
+
+def losses_after(*steps: Step) -> ImageLosses:
+    """Those of a subscription that has matched one publisher, after these steps at times 1, 2, 3 ..."""
     losses = ImageLosses()
     losses.subscribe()
-    losses.match(publisher, ever_matched=1, has_joined=True, now_ns=0)
+    losses.match(FRONT, ever_matched=1, has_joined=True, now_ns=0)
+    for now_ns, (what, *values) in enumerate(steps, start=1):
+        if what == "take":
+            for number in values:
+                losses.take(number, now_ns)  # type: ignore[arg-type]
+        elif what == "late":
+            losses.take(values[0], now_ns - 2)  # type: ignore[arg-type]
+        elif what == "match":
+            publisher, ever_matched, has_joined = values
+            losses.match(publisher, ever_matched=ever_matched, has_joined=has_joined, now_ns=now_ns)  # type: ignore[arg-type]
+        else:
+            getattr(losses, str(what))(*values)
+    losses.settle()
     return losses
 
 
-def take(losses: ImageLosses, *numbers: int, at_ns: int = 1) -> None:
-    for number in numbers:
-        losses.take(number, at_ns)
-
-
-def test_gaps_that_nobody_lost_were_dropped_in_queue() -> None:
-    losses = single()
-    take(losses, 7, 8, 12)
-    losses.lose(1)
-    losses.settle()
-    assert (losses.lost, losses.dropped_in_queue) == (1, 2)
-
-
-def test_what_was_lost_before_the_first_image_is_no_gap() -> None:
-    losses = single()
-    losses.lose(5)
-    take(losses, 6, 9)
-    losses.settle()
-    assert (losses.lost, losses.dropped_in_queue) == (5, 2)
-
-
-def test_a_second_publisher_ends_the_count_and_takes_back_what_it_caused() -> None:
-    losses = single()
-    take(losses, 1, 4)
-    losses.settle()
-    take(losses, 5000, 5, 5001)  # taken before the event of the match
-    losses.match(None, ever_matched=2, has_joined=True, now_ns=10)
-    take(losses, 6, 5010, at_ns=11)
-    losses.settle()
-    assert losses.dropped_in_queue == 2
-
-
-def test_counting_begins_again_with_what_arrives_after_the_second_has_left() -> None:
-    losses = single()
-    losses.match(None, ever_matched=2, has_joined=True, now_ns=10)
-    losses.match(FRONT, ever_matched=2, has_joined=False, now_ns=20)
-    take(losses, 9000, at_ns=19)  # the last one of the other, still in the queue
-    take(losses, 100, 103, at_ns=21)
-    losses.settle()
-    assert losses.dropped_in_queue == 2
-
-
-def test_a_publisher_that_came_and_went_unseen_between_two_images_causes_nothing() -> None:
-    losses = single()
-    take(losses, 1, 700)
-    losses.match(FRONT, ever_matched=2, has_joined=True, now_ns=10)
-    take(losses, 2, 4, at_ns=11)
-    losses.settle()
-    assert losses.dropped_in_queue == 1
-
-
-def test_a_loss_that_is_reported_after_its_gap_was_settled_is_counted_once() -> None:
-    losses = single()
-    take(losses, 1, 4)
-    losses.settle()
-    losses.lose(1)
-    losses.settle()
-    assert (losses.lost, losses.dropped_in_queue) == (1, 1)
-
-
-def test_the_end_of_the_only_publisher_keeps_its_gaps() -> None:
-    losses = single()
-    take(losses, 1, 4)
-    losses.match(None, ever_matched=1, has_joined=False, now_ns=10)
-    losses.settle()
-    assert losses.dropped_in_queue == 2
-
-
-def test_the_same_publisher_is_counted_on_over_a_new_subscription_and_another_is_not() -> None:
-    losses = single()
-    take(losses, 1)
-    losses.subscribe()
-    take(losses, 4)
-    losses.match(FRONT, ever_matched=1, has_joined=True, now_ns=10)
-    losses.subscribe()
-    take(losses, 900)
-    losses.match(REAR, ever_matched=1, has_joined=True, now_ns=20)
-    take(losses, 901, 903, at_ns=21)
-    losses.settle()
-    assert losses.dropped_in_queue == 1  # the gap before the other publisher was not settled yet
-
-
-def test_what_is_sent_while_the_node_wants_no_images_is_not_missed() -> None:
-    losses = single()
-    take(losses, 1, 3)
-    losses.stop()
-    losses.subscribe()
-    losses.match(FRONT, ever_matched=1, has_joined=True, now_ns=10)
-    take(losses, 50, 52)
-    losses.settle()
-    assert losses.dropped_in_queue == 2
-
-
-def test_a_middleware_without_sequence_numbers_has_no_gaps() -> None:
-    losses = single()
-    losses.take(None, 1)
-    losses.take(None, 2)
-    losses.settle()
-    assert losses.dropped_in_queue == 0
+@pytest.mark.parametrize(
+    ("steps", "lost", "dropped_in_queue"),
+    [
+        pytest.param([("take", 7, 8, 12), ("lose", 1)], 1, 2, id="a gap that was not all lost"),
+        pytest.param([("lose", 5), ("take", 6, 9)], 5, 2, id="lost before the first image"),
+        pytest.param(
+            [("take", 1, 4), ("settle",), ("lose", 1)], 1, 1, id="a loss that is reported after its gap"
+        ),
+        pytest.param(
+            [
+                ("take", 1, 4),
+                ("settle",),
+                ("take", 5000, 5, 5001),  # taken before the event of the match
+                ("match", None, 2, True),
+                ("take", 6, 5010),
+            ],
+            0,
+            2,
+            id="a second publisher ends the count and takes back what it caused",
+        ),
+        pytest.param(
+            # The late one is the last of the other, still in the queue.
+            [("match", None, 2, True), ("match", FRONT, 2, False), ("late", 9000), ("take", 100, 103)],
+            0,
+            2,
+            id="counting begins again when the second has left",
+        ),
+        pytest.param(
+            [("take", 1, 700), ("match", FRONT, 2, True), ("take", 2, 4)],
+            0,
+            1,
+            id="another came and went unseen between two images",
+        ),
+        pytest.param(
+            [("take", 1, 4), ("match", None, 1, False)], 0, 2, id="the end of the only one keeps its gaps"
+        ),
+        pytest.param(
+            [
+                ("take", 1),
+                ("subscribe",),
+                ("take", 4),
+                ("match", FRONT, 1, True),
+                ("subscribe",),
+                ("take", 900),
+                ("match", REAR, 1, True),
+                ("take", 901, 903),
+            ],
+            0,
+            1,  # the gap before the other publisher was not settled yet
+            id="the same publisher is counted on over a new subscription, another is not",
+        ),
+        pytest.param(
+            [("take", 1, 3), ("stop",), ("subscribe",), ("match", FRONT, 1, True), ("take", 50, 52)],
+            0,
+            2,
+            id="sent while the node wants no images",
+        ),
+        pytest.param([("take", None, None)], 0, 0, id="a middleware without sequence numbers"),
+    ],
+)
+def test_images_between_two_that_the_same_publisher_sent_are_lost_or_dropped(
+    steps: list[Step], lost: int, dropped_in_queue: int
+) -> None:
+    losses = losses_after(*steps)
+    assert (losses.lost, losses.dropped_in_queue) == (lost, dropped_in_queue)
 
 
 @given(
@@ -149,7 +127,7 @@ def test_with_two_publishers_no_more_are_dropped_in_queue_than_the_first_sent_al
     steps: list[tuple[str, str, int]],
 ) -> None:
     """Whatever the order of arrival, when the event of the second match comes before the next look."""
-    losses, numbers, is_alone = single(), {"a": 0, "b": 10_000}, True
+    losses, numbers, is_alone = losses_after(), {"a": 0, "b": 10_000}, True
     missed = 0
     for what, who, gap in steps:
         if what == "look":
@@ -238,6 +216,7 @@ def test_images_that_replace_each_other_while_the_node_is_busy_are_dropped_in_qu
     assert receiver.losses.lost == 0
 
 
+@pytest.mark.long
 def test_images_that_the_middleware_loses_are_counted_as_lost(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -275,11 +254,10 @@ def test_a_second_camera_that_joins_and_leaves_adds_nothing(receiver: Receiver) 
     assert (receiver.losses.lost, receiver.losses.dropped_in_queue) == (0, 2)
 
 
-@pytest.mark.parametrize("durability", [DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL])
 def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_is_taken(
-    receiver: Receiver, durability: DurabilityPolicy
+    receiver: Receiver,
 ) -> None:
-    camera = receiver.publisher(durability)
+    camera = receiver.publisher(DurabilityPolicy.TRANSIENT_LOCAL)
     receiver.send(camera)
     receiver.subscribe_again(camera, missed=4)
     receiver.send(camera)
@@ -287,22 +265,3 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.dropped_in_queue) == (2, 0, 4)
     (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
     assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE
-
-
-def test_the_camera_publishes_the_ground_truth_of_images_that_it_does_not_send(ros_domain: int) -> None:
-    """So the ground truths published are not the images sent, unless there is a subscriber to both."""
-    with closing(Observer("camera", domain=ros_domain)) as node:
-        outputs = CameraOutputs(node, declared_settings(node))
-        truths: list[Detection2DArray] = []
-        images: list[Image] = []
-        node.create_subscription(Detection2DArray, "/camera/truth", truths.append, 10)
-        source = open_source("synthetic", size_hw=(64, 64), seed=1, loop=True)
-        frame = next(iter(source.frames))
-        node.wait_for(lambda: node.count_subscribers("/camera/truth") == 1, "the subscription")
-        outputs.publish(frame)
-        node.wait_for(lambda: bool(truths), "the truth")
-        node.create_subscription(Image, "/image_raw", images.append, 1)
-        node.wait_for(lambda: outputs.is_heard, "the subscription to the images")
-        outputs.publish(frame)
-        node.wait_for(lambda: bool(images) and len(truths) == 2, "the image and its truth")
-        assert [image.header for image in images] == [truths[-1].header]

@@ -1,23 +1,40 @@
-"""A model is replaced while the node is active."""
+"""A model is replaced while the node is active, or refused with the reason while the old one goes on."""
 
 from __future__ import annotations
 
-import pytest
-from support.preparations import Preparations, prediction
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+import dataclasses
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import pytest
+import yaml
+from support.preparations import Preparations, prediction
+from support.random_model import TINY, random_model, random_network
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+from support.worker import worker_domain
+
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.models.model import Model
+from yolov5_lifecycle.settings.settings import SETTINGS
 
 
 def test_a_reload_swaps_the_model_and_frees_the_old_one(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     served.detect()
-    assert served.set(image_size=320) == (True, "")
+    assert served.set(image_size=320, weights="/other.pt", confidence_threshold=0.5) == (True, "")
     old, new = prepare.runtimes
     assert old.is_closed
     assert not new.is_closed
+    served.wait_for_log("the model was replaced: weights /scripted.pt")
     new.run = lambda: prediction("dog", 0.8)
     assert class_ids_of(served.detect()) == ["dog"]
+    assert served.transition("deactivate")
+    assert served.transition("activate")
+    image_hw = image().height, image().width
+    assert prepare.sizes_hw == [[USUAL_SOURCE_HW], [image_hw], [image_hw]], "warmed up for the last image"
 
 
 def test_frames_are_detected_while_the_next_model_loads(served: ServedNode, prepare: Preparations) -> None:
@@ -42,28 +59,13 @@ def test_a_refused_reload_leaves_model_and_value_alone(served: ServedNode, prepa
     done, reason = served.set(weights="/broken.pt")
     assert not done
     assert "/broken.pt: this is no checkpoint" in reason
-    assert served.get("weights") == ""
+    served.wait_for_log("the running model stays, its replacement was refused: /broken.pt")
+    prepare.refusal_type, prepare.refusal = KeyError, "surprise"
+    assert served.set(image_size=320) == (False, "KeyError: 'surprise'")
+    served.wait_for_log("unexpected KeyError in yolov5/set_parameters_atomically:\n  Traceback")
+    assert (served.get("weights"), served.get("image_size")) == ("", 640)
     assert class_ids_of(served.detect()) == ["cat"]
     assert not prepare.running.is_closed
-
-
-def test_a_model_is_warmed_up_for_images_like_the_last_one(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    served.detect()
-    assert served.set(image_size=320)[0]
-    assert served.transition("deactivate")
-    assert served.transition("activate")
-    image_hw = image().height, image().width
-    assert prepare.sizes_hw == [[USUAL_SOURCE_HW], [image_hw], [image_hw]]
-
-
-def test_a_reload_is_logged(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    assert served.set(image_size=320)[0]
-    served.wait_for_log("the model was replaced: weights /scripted.pt")
-    prepare.refusal = "/no/such.pt: there is no such file"
-    assert not served.set(image_size=416)[0]
-    served.wait_for_log("the running model stays, its replacement was refused: /no/such.pt")
 
 
 def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
@@ -79,17 +81,6 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
     answers = [reload.result().result, other.result().result]
     assert sorted(answer.successful for answer in answers) == [False, True]
     assert sum(not runtime.is_closed for runtime in prepare.runtimes) == 1
-    assert served.escaped == []
-
-
-def test_an_unexpected_exception_in_a_reload_is_answered_and_logged(
-    served: ServedNode, prepare: Preparations
-) -> None:
-    served.bring_to("active")
-    prepare.refusal_type, prepare.refusal = KeyError, "surprise"
-    assert served.set(image_size=320) == (False, "KeyError: 'surprise'")
-    served.wait_for_log("unexpected KeyError in yolov5/set_parameters_atomically:\n  Traceback")
-    assert class_ids_of(served.detect()) == ["cat"]
 
 
 def test_concurrent_reloads_are_both_applied(served: ServedNode, prepare: Preparations) -> None:
@@ -119,12 +110,6 @@ def test_leaving_active_wins_over_a_reload(served: ServedNode, prepare: Preparat
     assert all(runtime.is_closed for runtime in prepare.runtimes)
 
 
-def test_several_reload_settings_at_once_load_one_model(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    assert served.set(image_size=320, weights="/other.pt", confidence_threshold=0.5) == (True, "")
-    assert len(prepare.runtimes) == 2
-
-
 def test_new_weights_without_the_class_of_a_threshold_are_refused_with_the_parameter_to_change(
     served: ServedNode, prepare: Preparations
 ) -> None:
@@ -136,3 +121,89 @@ def test_new_weights_without_the_class_of_a_threshold_are_refused_with_the_param
     assert "class_thresholds: 'cat' is not a class of the model" in reason
     assert "`class_thresholds` still names classes of the running model" in reason
     assert class_ids_of(served.detect()) == ["cat"]
+
+
+# Weights files
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    path = tmp_path / "good.safetensors"
+    write_safetensors(random_model(), path)
+    return path
+
+
+@pytest.fixture
+def real(ros_domain: int, good: Path) -> Iterator[ServedNode]:
+    parameters = [f"weights:={good}", "image_size:=64", "runtime:=torch"]
+    with ServedNode(prepare_model, parameters=parameters) as served:
+        yield served
+    assert served.escaped == []
+
+
+BAD_FILES: list[tuple[Callable[[Path], object], str, str]] = [
+    (lambda bad: None, "missing.safetensors", "no such file"),
+    (lambda bad: bad.mkdir(), "folder.safetensors", "regular file"),
+    (lambda bad: os.mkfifo(bad), "pipe.pt", "regular file"),
+    (lambda bad: bad.write_bytes(b"<!DOCTYPE html>"), "page.pt", "HTML page"),
+]
+
+
+def test_a_bad_file_is_refused_by_activate_and_by_a_swap(real: ServedNode, good: Path) -> None:
+    real.bring_to("inactive")
+    for spoil, name, message in BAD_FILES:
+        bad = good.with_name(name)
+        spoil(bad)
+        assert real.set(weights=str(bad)) == (True, "")
+        assert not real.transition("activate")
+        told = real.status().message
+        assert str(bad) in told
+        assert message in told
+    assert real.set(weights=str(good)) == (True, "")
+    assert real.transition("activate")
+    for _, name, message in BAD_FILES:
+        done, reason = real.set(weights=str(good.with_name(name)))
+        assert not done
+        assert name in reason
+        assert message in reason
+    digest = real.values()["sha256"]
+    done, reason = real.set(weights_sha256="0" * 64)
+    assert not done
+    assert digest in reason
+    assert "0" * 64 in reason
+    assert real.set(weights_sha256=digest) == (True, "")
+    assert real.get("weights") == str(good)
+    assert real.detect().header.stamp.sec > 0
+
+
+@pytest.mark.long
+def test_a_swap_to_a_model_without_a_filtered_class_is_explained(real: ServedNode, good: Path) -> None:
+    other = good.with_name("other.safetensors")
+    fruit = dataclasses.replace(TINY, classes=2)
+    write_safetensors(Model(fruit, ("apple", "pear"), random_network(1, fruit).state_dict()), other)
+    real.bring_to("active")
+    kept = real.label_info().class_map[0].class_name
+    assert real.set(classes=[kept]) == (True, "")
+    done, reason = real.set(weights=str(other))
+    assert not done
+    assert f"'{kept}' is not a class of the model (apple, pear)" in reason
+    assert real.get("weights") == str(good)
+    assert real.set(weights=str(other), classes=["pear"]) == (True, "")
+    assert [label.class_name for label in real.label_info().class_map] == ["apple", "pear"]
+
+
+def test_dumped_parameters_fed_back_reproduce_the_configuration(
+    served: ServedNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert served.set(classes=["0"], confidence_threshold=0.5, lazy=False, max_rate=3.0) == (True, "")
+    served.bring_to("active")
+    digest = served.values()["configuration"]
+    values = {setting.name: served.get(setting.name) for setting in SETTINGS}
+    dump = tmp_path / "dump.yaml"
+    dump.write_text(yaml.dump({"/yolov5": {"ros__parameters": values | {"use_sim_time": False}}}))
+    # In one domain a request would be answered by both nodes of this name.
+    with worker_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(dump)]) as again:
+            again.bring_to("inactive")
+            assert again.values()["configuration"] == digest

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +11,14 @@ from support.preparations import Preparations, prediction
 from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
-from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, LatencyWindow
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
-
 PARAMETERS = ("tracker:=bytetrack", "track_timeout:=60.0")
+LIVE: list[dict[str, object]] = [
+    {"confidence_threshold": 0.4},
+    {"track_high_threshold": 0.3, "track_low_threshold": 0.2},
+    {"track_across_classes": True},
+    {"track_camera_motion": "off"},
+    {"classes": ["cat"]},
+]
 
 
 @pytest.fixture
@@ -53,48 +50,21 @@ def wait_until_unsubscribed(served: ServedNode) -> None:
     served.wait_for(lambda: served.images.get_subscription_count() == 0, "the end of the subscription")
 
 
-def test_an_object_has_an_id_from_its_second_image_on(tracking: ServedNode) -> None:
+def test_an_object_has_an_id_from_its_second_image_on_which_live_changes_keep(tracking: ServedNode) -> None:
     assert ids_at(tracking, 1, 2, 3) == ["", "1", "1"]
-
-
-def test_without_a_tracker_ids_are_empty(served: ServedNode) -> None:
-    served.bring_to("active")
-    assert ids_at(served, 1, 2) == ["", ""]
-    assert "tracker" not in served.values()
-
-
-def test_diagnostics_name_the_tracker_and_count_its_tracks(tracking: ServedNode) -> None:
-    ids_at(tracking, 1, 2)
     values = tracking.values()
     assert (values["tracker"], values["confirmed tracks"]) == ("bytetrack", "1")
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"confidence_threshold": 0.4},
-        {"track_high_threshold": 0.3, "track_low_threshold": 0.2},
-        {"track_across_classes": True},
-        {"track_camera_motion": "off"},
-        {"classes": ["cat"]},
-    ],
-    ids=lambda change: next(iter(change)),
-)
-def test_a_change_that_is_live_keeps_the_tracks(tracking: ServedNode, change: dict[str, object]) -> None:
-    ids_at(tracking, 1, 2)
-    assert tracking.set(**change) == (True, "")
-    assert ids_at(tracking, 3) == ["1"]
-
-
-def test_a_setting_of_the_tracker_counts_from_the_next_image_on(tracking: ServedNode) -> None:
-    assert ids_at(tracking, 1, 2) == ["", "1"]
+    for sec, change in enumerate(LIVE, start=4):
+        assert tracking.set(**change) == (True, "")
+        assert ids_at(tracking, sec) == ["1"], change
     assert tracking.set(track_timeout=0.5) == (True, "")
-    assert ids_at(tracking, 3, 4) == ["", ""]
+    assert ids_at(tracking, 20, 21) == ["", ""]
 
 
 def test_tracking_begins_and_ends_with_the_next_image(served: ServedNode) -> None:
     served.bring_to("active")
-    assert ids_at(served, 1) == [""]
+    assert ids_at(served, 1, 2) == ["", ""]
+    assert "tracker" not in served.values()
     for first_id, sec in (("1", 10), ("2", 20)):
         assert served.set(tracker="bytetrack", track_timeout=60.0) == (True, "")
         assert ids_at(served, sec, sec + 1) == ["", first_id]
@@ -108,7 +78,11 @@ def test_a_reload_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
     assert tracking.set(precision="bf16") == (True, "")
     after = see(tracking, 4).detections[0]
     assert (after.id, after.bbox) == ("", before)  # a tracker that was kept would give it the id 1
-    assert ids_at(tracking, 5) == ["2"]
+    assert ids_at(tracking, 5, 4) == ["2", ""]
+    assert tracking.values()["late images not tracked"] == "1"
+    assert tracking.set(precision="auto") == (True, "")
+    ids_at(tracking, 20, 19)
+    assert tracking.values()["late images not tracked"] == "2", "those before the reload count"
 
 
 def test_activating_again_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
@@ -142,13 +116,6 @@ def test_a_late_image_is_published_without_ids_and_counted(tracking: ServedNode)
     assert counts["detected"] - before["detected"] == counts["received"] - before["received"] == 4
 
 
-def test_counts_of_stamps_outlive_a_reload(tracking: ServedNode) -> None:
-    ids_at(tracking, 10, 9)
-    assert tracking.set(precision="bf16") == (True, "")
-    ids_at(tracking, 20, 19)
-    assert tracking.values()["late images not tracked"] == "2"
-
-
 def test_only_what_the_threshold_admits_is_published(tracking: ServedNode, prepare: Preparations) -> None:
     def scored(score: float) -> NDArray[np.float32]:
         return prediction("cat", score)
@@ -165,23 +132,3 @@ def test_thresholds_that_contradict_each_other_are_refused(tracking: ServedNode)
     assert not done
     assert "track_low_threshold: 0.5 is above track_high_threshold, 0.25" in reason
     assert tracking.get("track_low_threshold") == 0.1
-
-
-def test_a_frame_that_is_abandoned_before_it_is_published_leaves_the_tracks_alone() -> None:
-    nothing: Any = None
-    tracker = ByteTracker(itertools.count(1))
-    pipeline = CameraPipeline(
-        model=(model := Preparations()(Settings(), [(48, 64)])),
-        selection=Selection(),
-        outputs=nothing,
-        latencies=LatencyWindow(),
-        empty_frames=EmptyFrames(EmptyRun(0.25)),
-        last_image=LastImage(),
-        depth=None,
-        tracking=TrackedDetection(tracker, TrackerSettings()),
-    )
-    for sec in range(1, 6):
-        message = image()
-        message.header.stamp.sec = sec
-        assert len(pipeline.detect(ReceivedFrame(message, float(sec)), model.detector).found) == 1
-    assert tracker.confirmed == 0

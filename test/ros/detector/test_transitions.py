@@ -1,27 +1,30 @@
-"""Every transition in every state: carried out, or refused without a change."""
+"""Every transition in every state: carried out, or refused without a change, also while a model loads."""
 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import pytest
 from support.preparations import Preparations
-from support.served_node import STATES, ServedNode, class_ids_of
+from support.served_node import PATIENCE_S, STATES, ServedNode, class_ids_of
+
+from yolov5_lifecycle.ros.detector.node import EXIT_DEVICE_LOST
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
 LEGAL_NUMBERS = {"unconfigured": (1, 5), "inactive": (3, 2, 6), "active": (4, 7), "finalized": ()}
 """What lifecycle_msgs calls the transitions out of each state."""
+NO_FILE = "/no/such.pt: there is no such file"
 
 
 def test_a_full_cycle_detects_only_while_active(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("inactive")
     assert prepare.runtimes == []
-    assert served.transition("activate")
-    assert class_ids_of(served.detect()) == ["cat"]
-    assert served.transition("deactivate")
-    assert prepare.running.is_closed
-    assert served.transition("activate")
-    assert class_ids_of(served.detect()) == ["cat"]
-    assert served.transition("deactivate")
+    for _ in range(2):
+        assert served.transition("activate")
+        assert class_ids_of(served.detect()) == ["cat"]
+        assert served.transition("deactivate")
+        assert prepare.running.is_closed
     assert served.transition("cleanup")
     assert served.transition("shutdown")
     assert served.state() == "finalized"
@@ -42,54 +45,33 @@ def test_an_illegal_transition_is_refused_and_nothing_changes(served: ServedNode
     assert served.state() == state
 
 
-def test_refused_transitions_do_not_flood_the_log(served: ServedNode) -> None:
-    begun_s = time.monotonic()
-    for _ in range(100):
-        assert not served.transition("cleanup")
-    most = time.monotonic() - begun_s + 1
-    assert served.transition("configure")
-    served.wait_for_log("configured with")
-    assert 1 <= sum("'cleanup' refused in state unconfigured" in said for said in served.log) <= most
-
-
 @pytest.mark.parametrize("state", LEGAL_NUMBERS)
-def test_every_transition_number_is_answered(served: ServedNode, state: str) -> None:
+def test_every_transition_number_is_answered_and_refusals_do_not_flood_the_log(
+    served: ServedNode, state: str
+) -> None:
     """A process stays finalized for seconds and then ends; a node alone goes on answering."""
     served.bring_to(state)
-    for transition_id in sorted(set(range(256)) - set(LEGAL_NUMBERS[state])):
+    begun_s = time.monotonic()
+    for transition_id in sorted({*range(100), 255} - set(LEGAL_NUMBERS[state])):
         assert not served.transition("", transition_id)
+    most = time.monotonic() - begun_s + 1
     assert served.state() == state
+    assert 1 <= sum(f"refused in state {state}" in said for said in served.log) <= most
+    for transition_id in LEGAL_NUMBERS[state][:1]:
+        assert served.transition("", transition_id)
+        assert served.state() != state
 
 
-@pytest.mark.parametrize(
-    ("state", "transition_id"),
-    [(state, transition_id) for state, legal in LEGAL_NUMBERS.items() for transition_id in legal],
-)
-def test_a_transition_may_be_asked_for_by_its_number(
-    served: ServedNode, state: str, transition_id: int
+def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(
+    served: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to(state)
-    assert served.transition("", transition_id)
-    assert served.state() != state
-
-
-def test_shutdown_from_active_frees_the_model(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    assert served.transition("shutdown")
-    assert prepare.running.is_closed
-
-
-def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(ros_domain: int) -> None:
-    def broken(settings: object, sizes_hw: object) -> None:
-        raise KeyError("surprise")
-
-    with ServedNode(broken) as served:  # type: ignore[arg-type]
-        served.bring_to("inactive")
-        assert not served.transition("activate")
-        assert served.state() == "unconfigured"
-        assert "surprise" in served.status().message
-        served.wait_for_log("Traceback")
-        assert served.transition("configure")
+    prepare.refusal_type, prepare.refusal = KeyError, "surprise"
+    served.bring_to("inactive")
+    assert not served.transition("activate")
+    assert served.state() == "unconfigured"
+    assert "surprise" in served.status().message
+    served.wait_for_log("Traceback")
+    assert served.transition("configure")
 
 
 @pytest.mark.parametrize("label", ["deactivate", "shutdown"])
@@ -107,3 +89,119 @@ def test_an_unexpected_exception_while_releasing_releases_the_rest(
     served.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
     served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
     served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
+
+
+# While the model loads
+
+
+def begin_loading(served: ServedNode, prepare: Preparations) -> Any:
+    """Ask an inactive node to activate, which waits for `prepare.gate`; the future of the answer."""
+    served.bring_to("inactive")
+    prepare.gate.clear()
+    answer = served.begin_transition("activate")
+    assert prepare.begun.acquire(timeout=PATIENCE_S)
+    return answer
+
+
+def finish_loading(served: ServedNode, prepare: Preparations, *answers: Any) -> list[bool]:
+    """Whether each `activate` succeeded."""
+    prepare.gate.set()
+    served.wait_for(lambda: all(answer.done() for answer in answers), "the answers")
+    return [answer.result().success for answer in answers]
+
+
+def test_activate_that_cannot_load_says_why_and_stays_inactive(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    prepare.refusal = NO_FILE
+    served.bring_to("inactive")
+    assert not served.transition("activate")
+    assert served.state() == "inactive"
+    assert "/no/such.pt" in served.status().message
+    prepare.refusal = ""
+    assert served.transition("activate")
+    assert "/no/such.pt" not in served.status().message
+
+
+def test_services_answer_while_the_model_loads_and_a_second_activate_is_refused(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    activation = begin_loading(served, prepare)
+    assert served.state() == "inactive"
+    assert served.get("confidence_threshold") == 0.25
+    assert not served.transition("activate")
+    assert not activation.done()
+    assert finish_loading(served, prepare, activation) == [True]
+    assert served.state() == "active"
+    assert len(prepare.runtimes) == 1
+
+
+@pytest.mark.parametrize(
+    ("label", "refusal", "state"),
+    [("cleanup", NO_FILE, "unconfigured"), ("cleanup", "", "unconfigured"), ("shutdown", "", "finalized")],
+)
+def test_another_transition_wins_over_a_loading_activate(
+    served: ServedNode, prepare: Preparations, label: str, refusal: str, state: str
+) -> None:
+    prepare.refusal = refusal
+    activation = begin_loading(served, prepare)
+    assert served.transition(label)
+    assert finish_loading(served, prepare, activation) == [False]
+    assert served.state() == state
+    served.wait_for_log("activate canceled because another transition arrived")
+    assert NO_FILE not in served.status().message
+    assert all(runtime.is_closed for runtime in prepare.runtimes)
+
+
+def test_an_activate_of_an_earlier_configuration_is_canceled(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    earlier = begin_loading(served, prepare)
+    assert served.transition("cleanup")
+    assert served.transition("configure")
+    later = served.begin_transition("activate")
+    assert finish_loading(served, prepare, earlier, later) == [False, True]
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, False]
+
+
+@pytest.mark.parametrize("refusal", ["", NO_FILE], ids=["a good path", "a wrong path"])
+def test_settings_changed_while_loading_are_the_ones_that_run(
+    served: ServedNode, prepare: Preparations, refusal: str
+) -> None:
+    prepare.refusal = refusal
+    activation = begin_loading(served, prepare)
+    prepare.on_refusal = lambda: setattr(prepare, "refusal", "")
+    assert served.set(weights="/such.pt") == (True, "")
+    assert finish_loading(served, prepare, activation) == [True]
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, False][bool(refusal) :]
+    assert class_ids_of(served.detect()) == ["cat"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "problem"),
+    [
+        pytest.param("dgo", "Did you mean 'dog'?", id="typo"),
+        pytest.param("9" * 200, "is out of range: the model has 2 classes", id="index-of-200-digits"),
+    ],
+)
+def test_activate_refuses_a_class_that_the_model_does_not_have(
+    served: ServedNode, prepare: Preparations, entry: str, problem: str
+) -> None:
+    assert served.set(classes=[entry]) == (True, "")
+    served.bring_to("inactive")
+    assert not served.transition("activate")
+    assert problem in served.status().message
+    assert served.state() == "inactive"
+    assert prepare.running.is_closed
+
+
+@pytest.mark.parametrize("state", ["inactive", "active"])
+def test_a_device_that_is_lost_while_a_model_loads_ends_the_node(
+    served: ServedNode, prepare: Preparations, state: str
+) -> None:
+    served.bring_to(state)
+    prepare.refusal_type, prepare.refusal = DeviceLostError, "torch failed on cuda:0"
+    answered = served.transition("activate") if state == "inactive" else served.set(image_size=320)[0]
+    assert not answered
+    assert served.node.exit_code == EXIT_DEVICE_LOST
+    served.wait_for_log("exiting (code 3) because the device is lost: torch failed on cuda:0")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Callable
-from enum import Enum
+from itertools import takewhile
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -28,12 +28,6 @@ _SHORTEST_HEARTBEAT_S = 0.01
 _HEARTBEATS_IN_TIMEOUT = 4
 _DEPTH = 100
 _DELIVERY_S = 0.1  # bondcpp waits this long, too, for the other side to receive the end of the bond
-
-
-class _State(Enum):
-    WAITING = "waiting for the other side"
-    ALIVE = "both sides send heartbeats"
-    DEAD = "broken or never formed; final"
 
 
 def check_bond(timeout_s: float) -> None:
@@ -61,19 +55,18 @@ class Bond:
     """
 
     def __init__(self, node: Node, timeout_s: float, *, clock: Callable[[], float] = time.monotonic) -> None:
-        status_type = _status_type(timeout_s)
+        self._status_type = _status_type(timeout_s)
         self._node = node
         self._clock = clock
         self._timeout_s = timeout_s
         self._period_s = max(_SHORTEST_HEARTBEAT_S, min(_HEARTBEAT_S, timeout_s / _HEARTBEATS_IN_TIMEOUT))
-        self._status_type = status_type
         self._instance_id = str(uuid.uuid4())
-        self._state = _State.WAITING
-        self._begun_s = self._heard_s = clock()
-        self._is_missed = False
-        self._publisher = node.create_publisher(status_type, TOPIC, 5)
+        self._is_joined = self._is_missed = self._is_over = False
+        """A manager has sent a heartbeat; it sends none any more; the bond broke or was never formed."""
+        self._heard_s = clock()
+        self._publisher = node.create_publisher(self._status_type, TOPIC, 5)
         self._subscription = node.create_subscription(
-            status_type, TOPIC, self._take, _DEPTH, callback_group=_Polled()
+            self._status_type, TOPIC, self._take, _DEPTH, callback_group=_Polled()
         )
         # Steady time: simulated time may be paused.
         self._timer = node.create_timer(
@@ -82,7 +75,7 @@ class Bond:
 
     def close(self) -> None:
         """Notify the manager that the bond ends and stop the heartbeats; takes at most 0.1 s."""
-        if self._state is not _State.DEAD:
+        if not self._is_over:
             self._publish(is_active=False)
             self._publisher.wait_for_all_acked(Duration(seconds=_DELIVERY_S))
         self._node.destroy_timer(self._timer)
@@ -90,42 +83,37 @@ class Bond:
         self._node.destroy_publisher(self._publisher)
 
     def _beat(self) -> None:
-        self._take_waiting()
-        now_s = self._clock()
-        if self._state is _State.DEAD:
+        waiting = (take_message(self._subscription, self._status_type) for _ in range(_DEPTH))
+        for message in takewhile(lambda message: message is not None, waiting):
+            self._take(message)
+        if self._is_over:
             return
-        if self._state is _State.WAITING and now_s - self._begun_s > CONNECT_S:
-            self._die(f"no lifecycle manager joined the bond within {CONNECT_S:g} s")
+        silent_s = self._clock() - self._heard_s
+        if not self._is_joined and silent_s > CONNECT_S:
+            self._end(f"no lifecycle manager joined the bond within {CONNECT_S:g} s")
             return
-        if self._state is _State.ALIVE and not self._is_missed and now_s - self._heard_s > self._timeout_s:
+        if self._is_joined and not self._is_missed and silent_s > self._timeout_s:
             self._is_missed = True
             self._node.get_logger().warning(
                 f"no heartbeat from the lifecycle manager for {self._timeout_s:g} s; detection continues"
             )
         self._publish(is_active=True)
 
-    def _take_waiting(self) -> None:
-        for _ in range(_DEPTH):
-            message = take_message(self._subscription, self._status_type)
-            if message is None:
-                return
-            self._take(message)
-
     def _take(self, message: Any) -> None:
         is_other_side = message.id == self._node.get_name() and message.instance_id != self._instance_id
-        if not is_other_side or self._state is _State.DEAD:
+        if not is_other_side or self._is_over:
             return
         if not message.active:
             self._publish(is_active=False)  # acknowledges the end, for which the other side waits
-            self._die("the lifecycle manager ended the bond")
+            self._end("the lifecycle manager ended the bond")
             return
         self._heard_s = self._clock()
-        if self._state is _State.WAITING or self._is_missed:
+        if not self._is_joined or self._is_missed:
             self._node.get_logger().info("bonded with the lifecycle manager")
-        self._state, self._is_missed = _State.ALIVE, False
+        self._is_joined, self._is_missed = True, False
 
-    def _die(self, reason: str) -> None:
-        self._state = _State.DEAD
+    def _end(self, reason: str) -> None:
+        self._is_over = True
         self._timer.cancel()
         self._node.get_logger().warning(
             f"{reason}; detection continues without heartbeats until the next activation"

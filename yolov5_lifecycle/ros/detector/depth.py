@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import KW_ONLY, dataclass, field, replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -16,7 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.detector.frame_failures import RECENT_S
+from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.detector.image_topic import (
     COMPRESSED,
     DISCOVERY_S,
@@ -25,20 +24,11 @@ from yolov5_lifecycle.ros.detector.image_topic import (
     remedy,
     similar_images,
 )
-from yolov5_lifecycle.ros.detector.subscription import Subscription
 from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
-
-
-@dataclass(frozen=True, eq=False)
-class FramedDepth:
-    """A depth image and the name of its coordinate frame."""
-
-    image: DepthImage
-    frame_id: str
 
 
 @dataclass(frozen=True)
@@ -77,6 +67,8 @@ class RunWithoutDepth:
     ended_s: float
 
 
+RECENT_S = 2.0
+"""A rejection or failure is reported in diagnostics for this long."""
 UNPLACED_S = 2.0
 """Images without depth for longer than this are reported."""
 
@@ -153,6 +145,7 @@ class DepthStatus:
 _QUEUE = 2
 
 
+@dataclass(eq=False)
 class DepthInput:
     """Owns the subscriptions to depth images and camera_info while depth is needed, and places detections in
     space with the newest ones.
@@ -165,16 +158,17 @@ class DepthInput:
     monotonic seconds.
     """
 
-    def __init__(
-        self, node: Node, *, camera: str = "", slop_s: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._node = node
-        self._camera = camera
-        self._clock = clock
-        self.slop_s = slop_s
+    node: Node
+    _: KW_ONLY
+    camera: str = ""
+    slop_s: float
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
         self._subscriptions: list[Subscription] = []
         """To depth images and to camera_info; empty while depth is not needed."""
-        self._pairing: DepthPairing[FramedDepth] = DepthPairing(slop_s)
+        self._pairing: DepthPairing[tuple[DepthImage, str]] = DepthPairing(self.slop_s)
+        """Depth images, each with the name of its coordinate frame."""
         self._intrinsics: Intrinsics | None = None
         self.counts = DepthCounts()
         self.run: RunWithoutDepth | None = None
@@ -183,10 +177,14 @@ class DepthInput:
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
         if is_needed and not self._subscriptions:
+            topics = [of_camera(topic, self.camera) for topic in (DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)]
             self._subscriptions = [
-                self._subscribed(DEPTH_IMAGE_RAW, Image, self.take_image),
-                self._subscribed(DEPTH_CAMERA_INFO, CameraInfo, self.take_camera_info, takes_latched=True),
+                Subscription(self.node, topics[0], Image, self.take_image, depth=_QUEUE),
+                Subscription(
+                    self.node, topics[1], CameraInfo, self.take_camera_info, depth=_QUEUE, takes_latched=True
+                ),
             ]
+            self.update()
         elif not is_needed and self._subscriptions:
             for subscription in self._subscriptions:
                 subscription.close()
@@ -206,7 +204,7 @@ class DepthInput:
         ] or (None, None)
         if image is not None and image.publishers == 0:
             image = self._in_another_form(image)
-        is_recent = self._clock() - self._rejected_s < RECENT_S
+        is_recent = self.clock() - self._rejected_s < RECENT_S
         return DepthStatus(
             image=image,
             camera_info=camera_info,
@@ -219,11 +217,11 @@ class DepthInput:
         """Keep a depth image, without a copy; reject one that cannot be read."""
         self.counts.depth_images += 1
         try:
-            depth = FramedDepth(depth_image_of_message(message), message.header.frame_id)
+            depth = depth_image_of_message(message), message.header.frame_id
         except ImageError as error:
             self.counts.rejected_depth_images += 1
-            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self._clock()
-            self._node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
+            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self.clock()
+            self.node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
             return
         self._pairing.add(_nanoseconds(message.header.stamp), depth)
 
@@ -233,8 +231,8 @@ class DepthInput:
             self._intrinsics = intrinsics_of_message(message)
         except IntrinsicsError as error:
             self.counts.rejected_camera_infos += 1
-            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self._clock()
-            self._node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
+            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self.clock()
+            self.node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
 
     def expect(self, stamp: Time) -> None:
         """Keep the depth image nearest to the stamp of the image in progress until the next call."""
@@ -253,7 +251,7 @@ class DepthInput:
             missing = Unplaced.NO_DEPTH_IMAGE
             self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
             return None
-        depth = paired.item.image
+        depth, frame_id = paired.item
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
@@ -263,35 +261,21 @@ class DepthInput:
         self.counts.placed += count - no_place.total()
         self.counts.unplaced.update(no_place)
         self.run = None
-        return PlacedImage(placements, paired.item.frame_id)
+        return PlacedImage(placements, frame_id)
 
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
-        now_s, run = self._clock(), self.run  # `follow` may clear it in the executor
+        now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
         self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
         self.counts.unplaced_images += 1
         self.counts.unplaced[reason] += count
 
-    def _subscribed(
-        self, topic: str, message_type: type, take: Callable[[Any], None], *, takes_latched: bool = False
-    ) -> Subscription:
-        subscription = Subscription(
-            self._node,
-            of_camera(topic, self._camera),
-            message_type,
-            take,
-            depth=_QUEUE,
-            takes_latched=takes_latched,
-        )
-        subscription.follow()
-        return subscription
-
     def _in_another_form(self, image: SourceStatus) -> SourceStatus:
         """`image` with what to type if the same images are published by another transport."""
-        local = of_camera(DEPTH_IMAGE_RAW, self._camera)
-        name = full_name(self._node, local)
+        local = of_camera(DEPTH_IMAGE_RAW, self.camera)
+        name = full_name(self.node, local)
         found = similar_images(
-            self._node,
+            self.node,
             name,
             transport=RAW,
             usable=(RAW,),
@@ -301,7 +285,7 @@ class DepthInput:
         best = min(found, key=lambda images: images.form == COMPRESSED, default=None)
         if best is None:
             return image
-        clause = remedy(self._node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self._camera)
+        clause = remedy(self.node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self.camera)
         return replace(image, sent_as=in_one_line(best.name), remedy=clause)
 
 

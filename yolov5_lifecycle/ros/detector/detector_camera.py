@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 
 from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
 
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.collector import Collector
@@ -16,18 +18,77 @@ from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
-from yolov5_lifecycle.ros.detector.depth import DepthInput
-from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
+from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, Transport
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, EmptyRun, FrameCounter, LatencyWindow
+from yolov5_lifecycle.streaming.frame_statistics import (
+    EmptyFrames,
+    EmptyRun,
+    FrameCounter,
+    LatencyWindow,
+    Outcome,
+)
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads
 from yolov5_lifecycle.tracking.byte_tracker import StampCounts
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+
+
+@dataclass(eq=False)
+class FrameFailures:
+    """Logs the problems with frames of `cameras`, throttled, and reports when detection should end.
+
+    Calls `on_too_many(reason)` when the frames of a camera have failed `max_consecutive()` times in a row and
+    no other camera's last frame succeeded, and `on_device_lost(reason)` when no further frame can succeed.
+    Both run in the executor.
+    """
+
+    node: Node
+    cameras: Mapping[str, DetectorCamera]
+    _: KW_ONLY
+    max_consecutive: Callable[[], int]
+    on_too_many: Callable[[str], object]
+    on_device_lost: Callable[[str], None]
+
+    def restart(self) -> None:
+        """Count anew, for example on activation."""
+        for camera in self.cameras.values():
+            camera.failed_in_a_row = None
+
+    def report(self, camera: DetectorCamera, outcome: Outcome, error: Exception | None) -> None:
+        """Handle the end of a frame of `camera`, in the inference thread."""
+        if error is None:
+            camera.failed_in_a_row = 0
+            return
+        whose, log = f" of camera {camera.name}" if camera.name else "", self.node.get_logger()
+        if outcome is Outcome.REJECTED:
+            camera.last_problem = f"images are rejected: {error}", time.monotonic()
+            log.warning(f"image{whose} rejected: {error}", throttle_duration_sec=5.0)
+            return
+        reason = f"{type(error).__name__}: {error}"
+        camera.last_problem = f"inference fails: {reason}", time.monotonic()
+        # Runtimes and libraries raise RuntimeError; anything else is a bug here, so log the traceback.
+        told = reason if isinstance(error, RuntimeError) else "".join(traceback.format_exception(error))
+        log.error(f"inference{whose} failed: {told}", throttle_duration_sec=5.0)
+        self._count(camera, error, reason)
+
+    def _count(self, camera: DetectorCamera, error: Exception, reason: str) -> None:
+        count = camera.failed_in_a_row = (camera.failed_in_a_row or 0) + 1
+        if isinstance(error, DeviceLostError):
+            self._tell(self.on_device_lost, reason)
+        elif count >= self.max_consecutive() and all(
+            each.failed_in_a_row != 0 for each in tuple(self.cameras.values())
+        ):
+            self._tell(self.on_too_many, f"{count} failed frames in a row, the last: {reason}")
+            self.restart()
+
+    def _tell(self, what: Callable[[str], object], reason: str) -> None:
+        if (executor := self.node.executor) is not None:
+            executor.create_task(what, reason)
 
 
 @dataclass(eq=False)
@@ -45,6 +106,11 @@ class DetectorCamera:
     last_image: LastImage = field(default_factory=LastImage)
     outputs: Outputs | None = None
     stream: Stream | None = None
+    failed_in_a_row: int | None = None
+    """Failed frames up to now, None without a frame since the last activation."""
+    # A string only: an exception would keep the model alive through its traceback.
+    last_problem: tuple[str, float] = ("", float("-inf"))
+    """Of its frames, and when it happened (monotonic seconds)."""
 
     def collect_next(self) -> bool:
         """Keep the next image; False if this camera collects none."""
@@ -67,10 +133,11 @@ class DetectorCamera:
             self.stream.update()
 
     def status(self) -> CameraStatus:
+        problem, happened_s = self.last_problem
         status = CameraStatus(
             camera=self.name,
-            last_problem=self.failures.last_problem(self.name),
-            recent_failure=self.failures.recent(self.name),
+            last_problem=problem,
+            recent_failure=problem if time.monotonic() - happened_s < RECENT_S else "",
             balance=self.counter.balance(),
             topic=self.topic.look(),
             subscribers_3d=self.outputs.subscribers_3d if self.outputs else 0,
@@ -99,7 +166,7 @@ class Stream:
     collector: Collector | None
 
     def __post_init__(self) -> None:
-        self._queue = CameraQueue(self.camera.counter, partial(self.camera.failures.report, self.camera.name))
+        self._queue = CameraQueue(self.camera.counter, partial(self.camera.failures.report, self.camera))
         self._stamps = StampCounts()
         self._told_jumps = 0
         self._tracking = TrackedDetection.started(self.settings, self.track_ids, self._stamps)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -129,34 +129,35 @@ _REPEAT_S = 60.0
 """A recurring reason is logged at most once in this time."""
 
 
+@dataclass(eq=False)
 class Diagnostics:
     """Publishes `status()` every `period_s`; logs namesakes, and why an active node has no output.
 
     `clock` returns monotonic seconds.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        status: Callable[[], Status],
-        *,
-        period_s: float,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._node = node
-        self._status = status
-        self._clock = clock
-        self._reasons: dict[str, ReasonLog] = {}
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    node: Node
+    status: Callable[[], Status]
+    _: KW_ONLY
+    period_s: float
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        self._reasons: dict[str, str] = {}
+        """Without numbers, of the last summaries by name."""
+        self._logged_s: dict[tuple[str, str], float] = {}
+        self._publisher = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: simulated time may be paused (use_sim_time without /clock).
-        self._timer = node.create_timer(period_s, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = self.node.create_timer(
+            self.period_s, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
 
     def publish(self) -> None:
         """Publish the current status now and log its reasons if they are new."""
-        stamp = self._node.get_clock().now().to_msg()  # nothing in the status is older
-        status = self._status()
+        stamp = self.node.get_clock().now().to_msg()  # nothing in the status is older
+        status = self.status()
         of_node, of_cameras = status.of_node, status.of_cameras
-        name = self._node.get_fully_qualified_name()
+        name = self.node.get_fully_qualified_name()
         self._publisher.publish(
             DiagnosticArray(
                 header=Header(stamp=stamp),
@@ -167,51 +168,35 @@ class Diagnostics:
         self._log_reasons([of_node] if status.namesakes else detecting)
 
     def _log_reasons(self, summaries: Sequence[Summary]) -> None:
-        logs = {summary.name: self._reasons.get(summary.name) or ReasonLog() for summary in summaries}
-        self._reasons = logs
-        for summary in summaries:
-            reason = summary.hint or summary.remark
-            if not logs[summary.name].is_new(reason, self._clock()):
+        """Log each reason when it appears, and when it recurs after `_REPEAT_S`.
+
+        A text in which only numbers changed is the same reason.
+        """
+        log, now_s, before = self.node.get_logger(), self.clock(), self._reasons
+        reasons = {each.name: re.sub(r"[\d.]+", "", each.hint or each.remark) for each in summaries}
+        logged_s = {
+            (name, reason): at_s
+            for (name, reason), at_s in self._logged_s.items()
+            if name in reasons and now_s - at_s < _REPEAT_S
+        }
+        self._reasons, self._logged_s = reasons, logged_s
+        for each in summaries:
+            key = each.name, reasons[each.name]
+            if key[1] in ("", before.get(each.name, "")) or key in logged_s:
                 continue
-            text = f"{summary.name}: {reason}" if summary.is_of_camera else reason
-            if summary.hint:
-                self._node.get_logger().warning(text)
+            logged_s[key] = now_s
+            whose = f"{each.name}: " if each.is_of_camera else ""
+            if each.hint:
+                log.warning(f"{whose}{each.hint}")
             else:
-                self._node.get_logger().info(text)
-
-
-class ReasonLog:
-    """Decides which reasons to log: each when it appears, and when it recurs after `_REPEAT_S`.
-
-    A text in which only numbers changed is the same reason.
-    """
-
-    def __init__(self) -> None:
-        self._reason = ""
-        self._said_s: dict[str, float] = {}
-
-    def is_new(self, text: str, now_s: float) -> bool:
-        """Whether to log `text` at `now_s` (monotonic seconds)."""
-        reason, before = re.sub(r"[\d.]+", "", text), self._reason
-        self._reason = reason
-        self._said_s = {said: when_s for said, when_s in self._said_s.items() if now_s - when_s < _REPEAT_S}
-        if reason in ("", before) or reason in self._said_s:
-            return False
-        self._said_s[reason] = now_s
-        return True
+                log.info(f"{whose}{each.remark}")
 
 
 def diagnostic_status(summary: Summary, node_name: str) -> DiagnosticStatus:
     """Convert `summary` to a DiagnosticStatus: ERROR with a problem, WARN with a hint, else OK."""
-    level = (
-        DiagnosticStatus.ERROR
-        if summary.problem
-        else DiagnosticStatus.WARN
-        if summary.hint
-        else DiagnosticStatus.OK
-    )
+    level = DiagnosticStatus.WARN if summary.hint else DiagnosticStatus.OK
     return DiagnosticStatus(
-        level=level,
+        level=DiagnosticStatus.ERROR if summary.problem else level,
         name=f"{node_name}: {summary.name}",
         message=in_lines(summary.message, _MAX_VALUE),
         hardware_id=node_name,

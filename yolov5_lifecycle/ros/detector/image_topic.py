@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
-from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.ros.rclpy_internals import publishers_on
@@ -18,11 +17,8 @@ from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE_RAW, IMAGE_RAW, full_na
 from yolov5_lifecycle.settings.suggestion import most_similar
 
 Transport = Literal["raw", "compressed"]
-TOPICS: dict[Transport, tuple[str, type]] = {
-    "raw": (IMAGE_RAW, Image),
-    "compressed": (COMPRESSED_IMAGE_RAW, CompressedImage),
-}
-_LOCAL_NAMES: Mapping[str, str] = {transport: name for transport, (name, _) in TOPICS.items()}
+TOPICS: Mapping[str, str] = {"raw": IMAGE_RAW, "compressed": COMPRESSED_IMAGE_RAW}
+"""Names before remapping, by transport."""
 DISCOVERY_S = 5.0
 """Time that ROS may take to discover publishers."""
 _SEARCH_EVERY_S = 5.0
@@ -174,6 +170,7 @@ class TopicStatus:
         return len(self.reliabilities)
 
 
+@dataclass(eq=False)
 class ImageTopic:
     """Monitors the image topic of a camera, whether or not the node subscribes to it.
 
@@ -181,42 +178,37 @@ class ImageTopic:
     this one. `clock` returns monotonic seconds.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        transport: Transport,
-        *,
-        camera: str = "",
-        cameras: Callable[[], Sequence[str]] = lambda: ("",),
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._node = node
-        self._camera = camera
-        self._cameras = cameras
-        self._clock = clock
-        self.transport = transport
-        self.name = full_name(node, self.local_name)
-        self._seen_s = clock()
+    node: Node
+    transport: Transport
+    _: KW_ONLY
+    camera: str = ""
+    cameras: Callable[[], Sequence[str]] = lambda: ("",)
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
+        self.name = full_name(self.node, self.local_name)
+        self._seen_s, self._searched_s = self.clock(), float("-inf")
         self._similar: list[PublishedImages] = []
-        self._searched_s = float("-inf")
 
     @property
     def local_name(self) -> str:
         """Name before remapping, such as ~/image_raw."""
-        return of_camera(TOPICS[self.transport][0], self._camera)
+        return of_camera(TOPICS[self.transport], self.camera)
 
     def follow(self, transport: Transport) -> None:
         """Switch to the topic of `transport`."""
         if transport != self.transport:
             self.transport = transport
-            self.name = full_name(self._node, self.local_name)
-            self._seen_s, self._similar, self._searched_s = self._clock(), [], float("-inf")
+            self._begin()
 
     def look(self) -> TopicStatus:
         """Query the ROS graph, which is cached in this process."""
-        infos = self._node.get_publishers_info_by_topic(self.name)
+        infos = self.node.get_publishers_info_by_topic(self.name)
         ours = [info for info in infos if info.topic_type == TYPE_NAMES[self.transport]]
-        now_s = self._clock()
+        now_s = self.clock()
         if ours:
             self._seen_s, self._similar, self._searched_s = now_s, [], float("-inf")
         elif now_s - self._searched_s >= _SEARCH_EVERY_S:
@@ -230,25 +222,23 @@ class ImageTopic:
             missing_s=now_s - self._seen_s,
             similar=tuple(others)[:_MAX_SHOWN],
             sent_as=in_one_line(first.name) if first and first.camera == camera_of(self.name) else "",
-            remedy=remedy(
-                self._node, first, topics=_LOCAL_NAMES, transport=self.transport, camera=self._camera
-            )
+            remedy=remedy(self.node, first, topics=TOPICS, transport=self.transport, camera=self.camera)
             if first
             else "",
         )
 
     def publisher(self) -> bytes | None:
         """Gid of the only publisher, None unless there is exactly one."""
-        infos = self._node.get_publishers_info_by_topic(self.name)
+        infos = self.node.get_publishers_info_by_topic(self.name)
         return bytes(infos[0].endpoint_gid) if len(infos) == 1 else None
 
     def _search(self) -> list[PublishedImages]:
         """Images that the node does not receive, those of this camera first."""
-        elsewhere = used_otherwise(self._camera, self._cameras())
-        own = {full_name(self._node, topic) for topic in elsewhere}
+        elsewhere = used_otherwise(self.camera, self.cameras())
+        own = {full_name(self.node, topic) for topic in elsewhere}
         not_colour = _NOT_COLOUR - _words(self.name)
         return similar_images(
-            self._node,
+            self.node,
             self.name,
             transport=self.transport,
             usable=TOPICS,

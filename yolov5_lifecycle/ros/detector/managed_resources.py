@@ -1,20 +1,24 @@
-"""Cameras, publishers and session, which transitions create and release, and the threads behind them."""
+"""Cameras, publishers, session and collector, which transitions create and release, and their threads."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
+from pathlib import Path
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.node import Node
+from std_srvs.srv import Trigger
 
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
+from yolov5_lifecycle.collecting.collector import Collector, CollectorStatus
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
-from yolov5_lifecycle.ros.detector.collect_service import CollectService
-from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera
+from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera, FrameFailures
 from yolov5_lifecycle.ros.detector.diagnostics import Status
-from yolov5_lifecycle.ros.detector.frame_failures import FrameFailures
 from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.model_loader import Background, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
@@ -25,7 +29,10 @@ from yolov5_lifecycle.ros.topics import impossible_names
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.inference_threads import InferenceThreads
 
+_CLOSE_TIMEOUT_S = 3.0
 
+
+@dataclass(eq=False)
 class ManagedResources:
     """Owns the cameras, their publishers from `configure` to `release`, and the session from `activate` to
     `deactivate`.
@@ -35,30 +42,29 @@ class ManagedResources:
     for `rest_timeout_s`.
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        *,
-        parameters: SettingsParameters,
-        prepare: Prepare,
-        on_too_many: Callable[[str], Awaitable[None]],
-        on_device_lost: Callable[[str], None],
-        rest_timeout_s: float,
-    ) -> None:
-        self._node = node
-        self._rest_timeout_s = rest_timeout_s
-        self._parameters = parameters
+    node: LifecycleNode
+    _: KW_ONLY
+    parameters: SettingsParameters
+    prepare: Prepare
+    on_too_many: Callable[[str], Awaitable[None]]
+    on_device_lost: Callable[[str], None]
+    rest_timeout_s: float
+
+    def __post_init__(self) -> None:
+        self._cameras: dict[str, DetectorCamera] = {}
         self._failures = FrameFailures(
-            node,
-            max_consecutive=lambda: parameters.value("max_consecutive_failures"),
-            on_too_many=on_too_many,
-            on_device_lost=on_device_lost,
+            self.node,
+            self._cameras,
+            max_consecutive=lambda: self.parameters.value("max_consecutive_failures"),
+            on_too_many=self.on_too_many,
+            on_device_lost=self.on_device_lost,
         )
         self._track_ids = itertools.count(1)
-        self._waits = Background(node, "waits")
-        self._cameras: dict[str, DetectorCamera] = {}
-        self._collecting = CollectService(node, parameters, self._cameras)
-        self.loader = ModelLoader(node, prepare, sizes_hw=self._sizes_hw, on_device_lost=on_device_lost)
+        self._waits = Background(self.node, "waits")
+        self._collecting = CollectService(self.node, self.parameters, self._cameras)
+        self.loader = ModelLoader(
+            self.node, self.prepare, sizes_hw=self._sizes_hw, on_device_lost=self.on_device_lost
+        )
         self.session: Session | None = None
         self._abandoned: list[InferenceThreads] = []
         """Those of sessions in which a frame hung."""
@@ -67,11 +73,11 @@ class ManagedResources:
 
     def configure(self) -> None:
         """Create the publishers; raises rclpy's exception."""
-        self._label_info = label_info_publisher(self._node)
+        self._label_info = label_info_publisher(self.node)
         self._make_cameras()
         for camera in self._cameras.values():
             camera.outputs = Outputs(
-                self._node, camera=camera.name, on_subscribers_changed=self._follow_subscribers
+                self.node, camera=camera.name, on_subscribers_changed=self._follow_subscribers
             )
 
     async def load(self) -> bool:
@@ -81,16 +87,16 @@ class ManagedResources:
         """
         label_info = self._label_info
         if self._loading_for is label_info:
-            self._node.get_logger().warning("activate refused: the model is already being loaded")
+            self.node.get_logger().warning("activate refused: the model is already being loaded")
             return False
         self._loading_for = label_info
         preparation = await self.loader.load(
-            lambda: self._parameters.settings() if self._may_activate(label_info) else None
+            lambda: self.parameters.settings() if self._may_activate(label_info) else None
         )
         if self._loading_for is label_info:
             self._loading_for = None
         if preparation is None or label_info is None:
-            self._node.get_logger().warning(
+            self.node.get_logger().warning(
                 "activate canceled because another transition arrived while the model was loading"
             )
             return False
@@ -103,7 +109,7 @@ class ManagedResources:
         Raises what loading the model raises, and SettingsError if the settings do not fit it.
         """
         assert self._label_info is not None, "rclpy activates only a configured node"
-        settings = self._parameters.settings()
+        settings = self.parameters.settings()
         if self.session is None:
             self.session = self._new_session(self._label_info, self.loader.begin(settings))
         self.session.start(settings)
@@ -122,12 +128,12 @@ class ManagedResources:
         threads = self.session.threads
         with threads.paused():
             if not threads.is_at_rest:
-                await self._waits.finish(self._waits.submit(partial(threads.rest, self._rest_timeout_s)))
+                await self._waits.finish(self._waits.submit(partial(threads.rest, self.rest_timeout_s)))
             yield
 
     def is_at_rest(self, session: Session) -> bool:
         """Wait for the frames in progress; False if a thread hangs, which may still use a model."""
-        return session.threads.rest(self._rest_timeout_s) and not self.hanging_threads
+        return session.threads.rest(self.rest_timeout_s) and not self.hanging_threads
 
     def deactivate(self) -> bool:
         """Release the session; False if its frame hangs and it was abandoned.
@@ -137,7 +143,7 @@ class ManagedResources:
         session, self.session = self.session, None
         if session is None:
             return True
-        has_ended = session.stop(self._rest_timeout_s)
+        has_ended = session.stop(self.rest_timeout_s)
         if not has_ended:
             self._abandoned.append(session.threads)
         session.free(is_at_rest=not self.hanging_threads)  # that of an earlier session may hang in a GPU
@@ -149,12 +155,12 @@ class ManagedResources:
             camera.release()
         if self._label_info is not None:
             # destroy_publisher would leave it in the list of managed entities.
-            self._node.destroy_lifecycle_publisher(self._label_info)
+            self.node.destroy_lifecycle_publisher(self._label_info)
             self._label_info = None
 
     def close(self) -> None:
         """End the threads; those that hang are abandoned and logged. Call after `release`."""
-        log = self._node.get_logger()
+        log = self.node.get_logger()
         if not self.loader.close():
             log.warning("a model is still being loaded or freed: its thread is abandoned")
         if self.hanging_threads:
@@ -175,23 +181,23 @@ class ManagedResources:
 
     def update(self) -> None:
         """Adapt cameras and subscriptions to parameters and to the ROS graph."""
-        if self._label_info is None and not impossible_names(self._node, self._names()):
+        if self._label_info is None and not impossible_names(self.node, self._names()):
             self._make_cameras()  # `configure` refuses impossible names
         for name, camera in self._cameras.items():
-            camera.update(self._parameters.value_for(name, "image_transport"))
+            camera.update(self.parameters.value_for(name, "image_transport"))
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
         return Status(
             state=state,
             problem=problem,
-            settings=self._parameters.settings() if self._label_info else None,
+            settings=self.parameters.settings() if self._label_info else None,
             model=self.session.model if self.session else None,
             cameras=tuple(camera.status() for camera in self._cameras.values()),
             abandoned_threads=self.hanging_threads,
             resident_mb=resident_mb(),
             collected=self._collecting.status,
-            namesakes=namesakes(self._node),
+            namesakes=namesakes(self.node),
         )
 
     def _follow_subscribers(self) -> None:
@@ -206,17 +212,16 @@ class ManagedResources:
     def _make_cameras(self) -> None:
         """Those that the parameters name; the others, which have no publishers any more, end."""
         names = self._names()
-        for name in [name for name in self._cameras if name not in names]:
+        for name in self._cameras.keys() - names:
             del self._cameras[name]
-            self._failures.forget(name)
         for name in names:
             if name not in self._cameras:
-                topic = ImageTopic(self._node, "raw", camera=name, cameras=self._names)
+                topic = ImageTopic(self.node, "raw", camera=name, cameras=self._names)
                 self._cameras[name] = DetectorCamera(name, topic, self._failures)
 
     def _names(self) -> tuple[str, ...]:
         """The cameras that the parameters name; valid even if other settings are not."""
-        return self._parameters.value("cameras") or ("",)
+        return self.parameters.value("cameras") or ("",)
 
     def _may_activate(self, label_info: LifecyclePublisher | None) -> bool:
         """Whether the configuration with `label_info` still exists and is not active."""
@@ -224,10 +229,67 @@ class ManagedResources:
 
     def _new_session(self, label_info: LifecyclePublisher, preparation: Preparation) -> Session:
         return Session(
-            self._node,
+            self.node,
             preparation=preparation,
             cameras=self._cameras,
             label_info=label_info,
             track_ids=self._track_ids,
             collector=self._collecting.collector,
         )
+
+
+@dataclass(eq=False)
+class CollectService:
+    """Owns `collector`, which keeps images of `cameras`, and the service with which somebody asks for one.
+
+    `collector` is None without the parameter `collect_dir`, which like the quota is that of the start.
+    """
+
+    node: Node
+    parameters: SettingsParameters
+    cameras: Mapping[str, DetectorCamera]
+
+    def __post_init__(self) -> None:
+        self.collector = _collector(self.parameters)
+        self.node.create_service(Trigger, "~/collect", self._collect)
+
+    @property
+    def status(self) -> CollectorStatus | None:
+        """What became of images that were worth a label; None without a folder for them."""
+        return self.collector.status if self.collector is not None else None
+
+    def close(self) -> None:
+        """Keep what waits; a thread that hangs in the disk is abandoned and logged."""
+        if self.collector is not None and not self.collector.close(_CLOSE_TIMEOUT_S):
+            self.node.get_logger().warning(
+                f"an image has not been written within {_CLOSE_TIMEOUT_S:g} s: its thread is abandoned"
+            )
+
+    def _collect(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Keep the next image of each camera that collects."""
+        if self.collector is None:
+            response.message = "there is no folder: restart the node with collect_dir set to one"
+            return response
+        asked = [camera for camera in self.cameras.values() if camera.collect_next()]
+        response.success = bool(asked)
+        names = ", ".join(camera.name for camera in asked if camera.name)
+        response.message = (
+            f"the next image{f' of {names}' if names else ''} is kept"
+            if asked
+            else "no camera collects: activate the node, and set collect to true"
+        )
+        if problem := self.collector.status.problem:
+            response.success, response.message = False, f"no image was kept at the last attempt: {problem}"
+        return response
+
+
+def _collector(parameters: SettingsParameters) -> Collector | None:
+    folder = str(parameters.value("collect_dir"))
+    if not folder:
+        return None
+    quota = Quota(
+        max_bytes=parameters.value("collect_max_mb") * 1_000_000,
+        min_free_bytes=parameters.value("collect_min_free_mb") * 1_000_000,
+    )
+    session = RecordingSession()
+    return Collector(lambda: CollectedFolder(Path(folder).expanduser(), quota, session=session))

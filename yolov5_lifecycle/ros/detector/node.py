@@ -112,7 +112,13 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self._problem = ""
         self._is_qos_checked = False
         self.exit_code: int | None = None
-        self._settings = self._declared_settings(validate, arguments)
+        self._settings = SettingsParameters(
+            self,
+            rules=qos_rules(self),
+            arguments=arguments,
+            validate=validate,
+            is_unconfigured=lambda: self.state_label == "unconfigured",
+        )
         self._resources = ManagedResources(
             self,
             parameters=self._settings,
@@ -124,11 +130,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self._reconfiguration = Reconfiguration(
             self, parameters=self._settings, loader=self._resources.loader, resources=self._resources
         )
-        self._diagnostics = Diagnostics(
-            self,
-            self._status,
-            period_s=diagnostics_period_s,
-        )
+        self._diagnostics = Diagnostics(self, self._status, period_s=diagnostics_period_s)
         self._bond: Bond | None = None
         wrap_services(self, {"change_state": self._change_state} | self._reconfiguration.handlers())
         self._greet()
@@ -230,15 +232,6 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._release()
 
-    def _declared_settings(self, validate: Validate, arguments: Sequence[str]) -> SettingsParameters:
-        return SettingsParameters(
-            self,
-            rules=qos_rules(self),
-            arguments=arguments,
-            validate=validate,
-            is_unconfigured=lambda: self.state_label == "unconfigured",
-        )
-
     def _topic_problems(self, cameras: Sequence[str], *, are_undecided: bool) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         if problems := impossible_names(self, cameras):
@@ -268,17 +261,13 @@ class DetectorNode(PrintableNode, LifecycleNode):
         bond, self._bond = self._bond, None
         if bond is not None:
             bond.close()
-        if not self._resources.deactivate():
-            self.report(abandoned(self._rest_timeout_s))
-            self._bound_abandoned_sessions()
-
-    def _bound_abandoned_sessions(self) -> None:
-        count = self._resources.hanging_sessions
-        if count > self._max_abandoned_sessions:
-            told = (
-                f"inference hangs in {count} abandoned sessions, the limit is {self._max_abandoned_sessions}"
-            )
-            self._exit(EXIT_ABANDONED_SESSIONS, f": {told}")
+        if self._resources.deactivate():
+            return
+        self.report(abandoned(self._rest_timeout_s))
+        count, most = self._resources.hanging_sessions, self._max_abandoned_sessions
+        if count > most:
+            told = f": inference hangs in {count} abandoned sessions, the limit is {most}"
+            self._exit(EXIT_ABANDONED_SESSIONS, told)
 
     async def _change_state(self, request: Any, response: Any) -> Any:
         wanted, possible = request.transition, available_transitions(self)

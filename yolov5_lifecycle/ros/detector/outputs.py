@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 
 import numpy as np
@@ -37,27 +38,23 @@ def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
     return _created(node, LabelInfo, LABEL_INFO, latched)
 
 
+@dataclass(eq=False)
 class Outputs:
     """Owns the publishers of a camera's detections, masks and annotated images.
 
     `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
-    leaves. `encode` compresses an image to JPEG and raises ImageError if it cannot.
+    leaves.
 
     Raises rclpy's exception if a publisher cannot be created, after destroying the others.
     """
 
-    def __init__(
-        self,
-        node: LifecycleNode,
-        *,
-        camera: str = "",
-        on_subscribers_changed: Callable[[], None],
-        encode: Callable[[ColourImage], NDArray[np.uint8]] = encode_jpeg,
-    ) -> None:
-        self._node = node
-        self._camera = camera
-        self._encode = encode
-        self._events = PublisherEventCallbacks(matched=lambda _: on_subscribers_changed())
+    node: LifecycleNode
+    _: KW_ONLY
+    camera: str = ""
+    on_subscribers_changed: Callable[[], None]
+
+    def __post_init__(self) -> None:
+        self._events = PublisherEventCallbacks(matched=lambda _: self.on_subscribers_changed())
         self._publishers: list[LifecyclePublisher] = []
         try:
             self.detections = self._publisher(Detection2DArray, DETECTIONS, QoSProfile(depth=10))
@@ -101,11 +98,11 @@ class Outputs:
             yield partial(self._image.publish, image_message(image.pixels, f"{image.order}8", header))
         if self._compressed_image.get_subscription_count():
             try:
-                jpeg = self._encode(image)
+                jpeg = encode_jpeg(image)
             except ImageError as error:
                 # The detections are published; only the compressed image is missing.
-                self._node.get_logger().warning(
-                    f"no image on {of_camera(COMPRESSED_IMAGE, self._camera)}: {error}",
+                self.node.get_logger().warning(
+                    f"no image on {of_camera(COMPRESSED_IMAGE, self.camera)}: {error}",
                     throttle_duration_sec=5.0,
                 )
                 return
@@ -115,12 +112,12 @@ class Outputs:
     def close(self) -> None:
         for publisher in self._publishers:
             # destroy_publisher would leave it in the list of managed entities.
-            self._node.destroy_lifecycle_publisher(publisher)
+            self.node.destroy_lifecycle_publisher(publisher)
         self._publishers.clear()
 
     def _publisher(self, message_type: type, topic: str, qos: QoSProfile) -> LifecyclePublisher:
-        name = of_camera(topic, self._camera)
-        publisher = _created(self._node, message_type, name, qos, self._events)
+        name = of_camera(topic, self.camera)
+        publisher = _created(self.node, message_type, name, qos, self._events)
         self._publishers.append(publisher)
         return publisher
 

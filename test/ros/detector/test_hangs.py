@@ -1,0 +1,326 @@
+"""At whatever step and in however many lanes frames hang: the node answers and goes on."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CompressedImage, Image
+from support.camera_client import CameraClient, DepthClient
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import scene_image
+from support.preparations import Preparations, prediction
+from support.runtime_names import EVERY_RUNTIME
+from support.scripted_runtime import ScriptedRuntime
+from support.segmented_scene import SIZE_HW, MasksSubscriber, SegmentingModel
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of
+from vision_msgs.msg import Detection2DArray
+
+from soak import slow_detector
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+
+REST_S = 1.0
+"""How long these nodes wait for a frame."""
+
+
+class Hang:
+    """Makes the inference thread hang where `step` is called, once after each `begin`, until `end`."""
+
+    def __init__(self) -> None:
+        self.entered = threading.Event()
+        self._is_armed = threading.Event()
+        self._release = threading.Event()
+
+    def begin(self) -> None:
+        self._is_armed.set()
+
+    def end(self) -> None:
+        self._is_armed.clear()
+        self._release.set()
+
+    def step(self) -> None:
+        if self._is_armed.is_set() and threading.current_thread().name == "inference":
+            self._is_armed.clear()
+            self.entered.set()
+            assert self._release.wait(10 * PATIENCE_S)
+
+    def before(self, original: Callable[..., Any]) -> Callable[..., Any]:
+        def hanging(*arguments: Any, **options: Any) -> Any:
+            self.step()
+            return original(*arguments, **options)
+
+        return hanging
+
+
+@pytest.fixture
+def hang() -> Iterator[Hang]:
+    hang = Hang()
+    yield hang
+    hang.end()
+
+
+STEPS: dict[str, tuple[Any, str]] = {**slow_detector.STEPS, "inference": (ScriptedRuntime, "__call__")}
+QUICK = ("drawing", "publishing")
+"""These run in every test run, the others are long."""
+EVERY_STEP = [pytest.param(step, marks=() if step in QUICK else pytest.mark.long) for step in STEPS]
+
+
+@pytest.mark.parametrize("step", EVERY_STEP)
+def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
+    step: str, hang: Hang, prepare: Preparations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a tracker, depth, masks and viewers, so that every step is taken."""
+    assert REST_TIMEOUT_S == 3.0
+    owner, name = STEPS[step]
+    monkeypatch.setattr(owner, name, hang.before(getattr(owner, name)))
+    SegmentingModel(prepare)
+    parameters = ["image_size:=128", "depth:=true", "tracker:=bytetrack"]
+    with ServedNode(prepare, parameters=parameters, rest_timeout_s=REST_S) as served:
+        camera, seen = DepthClient(served, size_hw=SIZE_HW), dict[str, object]()
+        for kind, topic in ((Image, "image"), (CompressedImage, "image/compressed")):
+            take = lambda message, topic=topic: seen.update({topic: message})  # noqa: E731
+            served.client.create_subscription(kind, camera.topic(topic), take, QoSProfile(depth=1))
+        MasksSubscriber(camera)
+        served.bring_to("active")
+
+        def send_until(condition: Callable[[], bool], what: str) -> None:
+            def is_met() -> bool:
+                camera.send_depth()
+                camera.send()
+                return condition()
+
+            served.wait_for(is_met, what)
+
+        send_until(lambda: len(seen) == 2, "annotated images")
+        hang.begin()
+        send_until(hang.entered.is_set, "the step to hang")
+        deactivated = served.begin_transition("deactivate")
+        assert served.state() == "active"
+        assert not deactivated.done(), "the node answered only after it waited for the frame"
+        served.wait_for(deactivated.done, "the answer to deactivate")
+        assert deactivated.result().success
+        assert served.status().message == abandoned(REST_S)
+        served.wait_for_log(abandoned(REST_S))
+        assert served.counts()["pending"] == 0
+        hang.end()
+        assert served.transition("activate")
+        assert class_ids_of(camera.detect())
+    assert served.escaped == []
+
+
+@pytest.mark.long
+def test_a_hint_tells_that_a_frame_hangs(served: ServedNode, prepare: Preparations, hang: Hang) -> None:
+    served.bring_to("active")
+    prepare.running.run = hang.before(prepare.run)
+    hang.begin()
+    served.send_until(hang.entered.is_set, "inference to hang")
+    hint = "s so far. If inference hangs, deactivate and activate the node"
+    served.wait_for(lambda: hint in served.status().message, "the hint")
+    served.wait_for_log(hint)
+
+
+# Lanes
+
+NAMES = ("front", "rear", "left")
+
+
+class Lanes:
+    """An active node with three cameras and two lanes, which `hold` lets begin at the same time."""
+
+    def __init__(self, served: ServedNode, prepare: Preparations) -> None:
+        self.served = served
+        self.prepare = prepare
+        self.cameras = [CameraClient(served, name) for name in NAMES]
+        self._released: list[threading.Event] = []
+
+    def hold(self) -> tuple[threading.Event, threading.Event]:
+        """Return while frames of two cameras are in progress, with what lets each of them end.
+
+        They are of any two cameras, because the first may have sent another one meanwhile.
+        """
+        whole = self.prepare.running
+        entered, release = threading.Event(), threading.Event()
+        self._released.append(release)
+        whole.run = self._held(entered, release)
+        first, *others = self.cameras
+        self.served.wait_for(lambda: bool(first.send()) and entered.is_set(), "a frame that is alone")
+        of_lanes = [threading.Event(), threading.Event()]
+        begun = [threading.Event(), threading.Event()]
+        self._released += of_lanes
+        for lane, is_begun, may_end in zip(whole.made_lanes, begun, of_lanes, strict=True):
+            lane.run = self._held(is_begun, may_end)
+        self.served.wait_for(
+            lambda: all(camera.send() and camera.counts()["pending"] for camera in others), "two that wait"
+        )
+        release.set()
+        assert all(each.wait(PATIENCE_S) for each in begun), "not at the same time"
+        return of_lanes[0], of_lanes[1]
+
+    def release(self) -> None:
+        for event in self._released:
+            event.set()
+
+    def _held(self, entered: threading.Event, release: threading.Event) -> Callable[[], NDArray[np.float32]]:
+        def run() -> NDArray[np.float32]:
+            entered.set()
+            assert release.wait(PATIENCE_S)
+            return prediction("cat", 0.9)
+
+        return run
+
+
+@pytest.fixture
+def lanes(prepare: Preparations) -> Iterator[Lanes]:
+    prepare.lanes = 2
+    parameters = [f"cameras:=[{', '.join(NAMES)}]"]
+    with ServedNode(prepare, parameters=parameters, rest_timeout_s=0.1) as served:
+        lanes = Lanes(served, prepare)
+        served.bring_to("active")
+        for camera in lanes.cameras:
+            camera.detect()
+        yield lanes
+        lanes.release()
+    assert served.escaped == []
+
+
+def test_a_frame_that_hangs_in_a_lane_does_not_stop_the_other_cameras(lanes: Lanes) -> None:
+    _, other = lanes.hold()
+    other.set()
+    before = [len(camera.detections) for camera in lanes.cameras]
+
+    def others_go_on() -> bool:
+        for camera in lanes.cameras:
+            camera.send()
+        new = [len(camera.detections) - count for camera, count in zip(lanes.cameras, before, strict=True)]
+        return sorted(new)[1] >= 3
+
+    lanes.served.wait_for(others_go_on, "three detections of each camera but the one that hangs")
+
+
+def test_a_session_is_abandoned_as_a_whole_however_many_of_its_frames_hang(lanes: Lanes) -> None:
+    served, sessions = lanes.served, MAX_ABANDONED_SESSIONS - 1
+    for session in range(1, sessions + 1):
+        lanes.hold()
+        assert served.transition("deactivate")
+        assert served.values()["abandoned threads"] == str(2 * session)
+        assert served.transition("activate")
+    assert 2 * sessions > MAX_ABANDONED_SESSIONS
+    assert served.node.exit_code is None
+    assert [class_ids_of(camera.detect()) for camera in lanes.cameras] == [["cat"]] * len(NAMES)
+
+
+def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_model_found(
+    prepare: Preparations,
+) -> None:
+    prepare.lanes = 2
+    with ServedNode(prepare, parameters=[f"cameras:=[{', '.join(NAMES)}]"]) as served:
+        lanes = Lanes(served, prepare)
+        served.bring_to("active")
+        one, other = lanes.hold()
+        prepared = len(prepare.sizes_hw)
+        prepare.run = lambda: prediction("dog", 0.9)
+        reload = served.begin_set(image_size=320)
+        served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "another model")
+        one.set()
+        assert served.state() == "active"
+        assert not reload.done(), "a frame with the previous model is in progress"
+        other.set()
+        served.wait_for(reload.done, "the answer")
+        assert reload.result().result.successful
+        for camera in lanes.cameras:
+            camera.detect()
+            published = [class_ids_of(message) for message in camera.detections]
+            assert published == sorted(published), "a cat after a dog"
+            assert published[-1] == ["dog"]
+    assert served.escaped == []
+
+
+# A thread that hangs keeps its network; the next session has another one, in every engine
+
+WEIGHTS = REPOSITORY / "weights" / "shapes.safetensors"
+COUNT = 30
+
+
+class BusyHang:
+    """Makes the next detection go on and on, using its network all the while, until `end`.
+
+    `rows` has every result of the network, `errors` what it raised.
+    """
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.is_armed = threading.Event()
+        self.entered = threading.Event()
+        self.rows: list[bytes] = []
+        self.errors: list[str] = []
+        self._thread: threading.Thread | None = None
+        self._is_over = threading.Event()
+        self._detect = Detector.detect
+        patch.setattr(Detector, "detect", lambda *arguments: self._hang(*arguments))
+
+    def end(self) -> None:
+        self._is_over.set()
+        if self._thread is not None:
+            self._thread.join(PATIENCE_S)
+
+    def _hang(self, detector: Detector, image: Any, selection: Any) -> Any:
+        if self.is_armed.is_set():
+            self.is_armed.clear()
+            self._thread = threading.current_thread()
+            shape = (*detector.network_hw(image.size_hw), 3)
+            frame = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
+            try:
+                while not self._is_over.is_set():
+                    self.rows.append(detector.runtime(frame, "rgb").rows.tobytes())
+                    self.entered.set()
+            except InferenceError as error:  # its network was closed, or another thread uses it
+                self.errors.append(str(error))
+        return self._detect(detector, image, selection)
+
+
+@pytest.fixture
+def busy(monkeypatch: pytest.MonkeyPatch) -> Iterator[BusyHang]:
+    busy = BusyHang(monkeypatch)
+    yield busy
+    busy.end()
+
+
+def boxes_of(message: Detection2DArray) -> list[tuple[float, ...]]:
+    return [
+        (found.bbox.center.position.x, found.bbox.center.position.y, found.results[0].hypothesis.score)
+        for found in message.detections
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_detections_are_right_while_an_abandoned_thread_uses_its_network(
+    runtime: str, busy: BusyHang
+) -> None:
+    parameters = [f"weights:={WEIGHTS}", "image_size:=320", f"runtime:={runtime}", "cameras:=[front, rear]"]
+    with ServedNode(prepare_model, parameters=parameters, rest_timeout_s=0.1) as served:
+        front, rear = CameraClient(served, "front"), CameraClient(served, "rear")
+        served.bring_to("active")
+        shown: list[Image] = [scene_image(index) for index in range(3)]
+        expected = [boxes_of(rear.detect(image)) for image in shown]
+        assert all(expected)
+        front.detect()
+        busy.is_armed.set()
+        served.wait_for(lambda: bool(front.send()) and busy.entered.is_set(), "the network to be kept")
+        assert served.transition("deactivate")
+        assert served.transition("activate")
+        for index in range(COUNT):
+            assert boxes_of(rear.detect(shown[index % 3])) == expected[index % 3]
+        assert rear.counts()["failed"] == 0
+        busy.end()
+        assert len(set(busy.rows)) == 1
+        assert all("closed" in error for error in busy.errors)
+    assert served.escaped == []

@@ -1,0 +1,212 @@
+"""Parameters given at the start or set while the node runs: applied as a whole or refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Image
+from support.camera_client import CameraClient, DepthClient
+from support.preparations import Preparations
+from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel, pixels
+from support.served_node import STATES, ServedNode, class_ids_of, messages_of
+
+from yolov5_lifecycle.detection.box_filter import BoxFilter
+from yolov5_lifecycle.detection.draw_regions import draw_regions
+from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.ros.messages import image_of_message
+from yolov5_lifecycle.settings.settings import SETTINGS
+
+# At the start
+
+
+@pytest.mark.parametrize(
+    ("parameter", "fixed"),
+    [
+        pytest.param("confidence_threshold:=1.5", {"confidence_threshold": 0.5}, id="out-of-range"),
+        pytest.param("lazy:=high", {"lazy": True}, id="wrong-type", marks=pytest.mark.long),
+        pytest.param("confidence_treshold:=0.5", {"confidence_threshold": 0.5}, id="unknown-name"),
+    ],
+)
+def test_a_bad_override_fails_configure_until_it_is_corrected(
+    prepare: Preparations, parameter: str, fixed: dict[str, object]
+) -> None:
+    with ServedNode(prepare, parameters=[parameter]) as served:
+        assert not served.transition("configure")
+        assert parameter.partition(":=")[0] in served.status().message
+        assert served.set(**fixed) == (True, "")
+        assert served.transition("configure")
+        assert served.escaped == []
+
+
+def test_deleting_an_unknown_override_leaves_the_rest_of_the_request_to_be_set(prepare: Preparations) -> None:
+    deletion = ParameterMessage(name="colour")
+    with ServedNode(prepare, parameters=["colour:=red"]) as served:
+        assert not served.set_messages([deletion, *messages_of(confidence_threshold=7.0)])[0]
+        assert not served.transition("configure")
+        assert served.set_messages([deletion, *messages_of(confidence_threshold=0.7)]) == (True, "")
+        assert served.get("confidence_threshold") == 0.7
+        assert served.transition("configure")
+
+
+def test_an_override_is_taken_as_it_is_meant(prepare: Preparations) -> None:
+    parameters = ("confidence_threshold:=1", "device:=0", "classes:=[0, 1]", "regions:=[]", "model_size:=n")
+    meant: tuple[object, ...] = (1.0, "0", ["0", "1"], [], "n")  # YAML takes n for no
+    with ServedNode(prepare, parameters=parameters) as served:
+        assert served.transition("configure")
+        assert tuple(served.get(parameter.partition(":=")[0]) for parameter in parameters) == meant
+
+
+# While the node runs
+
+MALFORMED = {
+    "a type that does not exist": ParameterValue(type=42),
+    "a deletion": ParameterValue(type=0),
+    "a string for a number": ParameterValue(type=4, string_value="high"),
+    "not a number": ParameterValue(type=3, double_value=float("nan")),
+    "a huge list": ParameterValue(type=8, double_array_value=[0.5] * 100_000),
+    "a huge string": ParameterValue(type=4, string_value="x" * 1_000_000),
+}
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_what_is_malformed_or_unknown_is_refused_in_every_state(served: ServedNode, state: str) -> None:
+    served.bring_to(state)
+    for description, value in MALFORMED.items():
+        (result,) = served.set_one_by_one([ParameterMessage(name="confidence_threshold", value=value)])
+        assert not result.successful, description
+        assert result.reason, description
+        assert served.get("confidence_threshold") == 0.25
+    done, reason = served.set(confidence_treshold=0.5)
+    assert not done
+    assert "Did you mean 'confidence_threshold'?" in reason
+
+
+@pytest.mark.parametrize(
+    "values",
+    [{"autostart": True}, {"bond_timeout": 4.0}, {"weights_dirs": ["/"]}, {"autostart": True, "lazy": False}],
+    ids=str,
+)
+def test_a_setting_that_is_read_only_cannot_be_set(served: ServedNode, values: dict[str, object]) -> None:
+    done, reason = served.set(**values)
+    assert not done
+    assert "read-only" in reason
+    assert [served.get(name) for name in ("autostart", "weights_dirs", "lazy")] == [False, [], True]
+
+
+@pytest.mark.parametrize("state", ["unconfigured", "active"])
+def test_every_parameter_may_be_set_to_what_it_is(served: ServedNode, state: str) -> None:
+    served.bring_to(state)
+    foreign = ["use_sim_time", "start_type_description_service"]
+    values = {name: served.get(name) for name in [*(setting.name for setting in SETTINGS), *foreign]}
+    results = served.set_one_by_one(messages_of(**values))
+    assert [result.reason for result in results if not result.successful] == []
+    assert served.set(**values) == (True, "")
+
+
+# The box of the cat is 20 x 10 pixels around the middle of an image of 64 x 48, its score 0.9.
+LEFT, RIGHT = "0,0 0.4,0 0.4,1 0,1", "0.4,0 1,0 1,1 0.4,1"
+CHANGES: list[tuple[dict[str, Any], list[str]]] = [
+    ({"confidence_threshold": 0.95}, []),
+    ({"confidence_threshold": 0.5, "classes": ["dog"]}, []),
+    ({"classes": ["0"]}, ["cat"]),
+    ({"regions": [LEFT]}, []),
+    ({"regions": [LEFT, RIGHT]}, ["cat"]),
+    ({"ignore_regions": [RIGHT]}, []),
+    ({"ignore_regions": [], "regions": ["0,0.6 1,0.6 1,1 0,1"]}, []),
+    ({"region_anchor": "foot"}, ["cat"]),
+    ({"regions": [], "min_box_size": 21}, []),
+    ({"min_box_size": 0.0, "max_box_size": 19.0}, []),
+    ({"max_box_size": 20.0}, ["cat"]),
+    ({"class_thresholds": ["cat: 0.95"]}, []),
+    ({"confidence_threshold": 0.95, "class_thresholds": ["0: 0.85"]}, ["cat"]),
+]
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"classes": ["catt"]}, "'catt' is not a class of the model (cat, dog). Did you mean 'cat'?"),
+    ({"confidence_threshold": 0.5, "classes": ["bird"]}, "'bird' is not a class"),
+    ({"regions": ["0,0 1,1"]}, "regions: ['0,0 1,1'] must be polygons, but entry 1 has 2 points"),
+    ({"regions": LEFT}, f'Did you mean ["{LEFT}"]?'),
+    ({"region_anchor": "bottom"}, "'bottom' is not one of center, foot"),
+    ({"min_box_size": 35.0}, "min_box_size: 35 is above max_box_size, 30."),
+    ({"class_thresholds": ["cat"]}, "'cat' is not a class name or index, a colon and a number"),
+    ({"class_thresholds": ["cat: 0.5", "0: 0.4"]}, "'cat' and '0' are the same class"),
+    ({"regions": [LEFT], "class_thresholds": ["cow: 0.5"]}, "'cow' is not a class of the model"),
+]
+
+
+def test_a_change_takes_effect_with_the_next_image_and_a_wrong_one_changes_nothing(
+    prepare: Preparations,
+) -> None:
+    with ServedNode(prepare, parameters=["image_size:=64"]) as served:
+        served.bring_to("active")
+        assert class_ids_of(served.detect()) == ["cat"]
+        for values, found in CHANGES:
+            assert served.set(**values) == (True, ""), values
+            assert class_ids_of(served.detect()) == found, values
+        assert served.label_info().threshold == pytest.approx(0.95), "that of the classes without their own"
+        kept = {"regions": [RIGHT], "class_thresholds": ["dog: 0.95"], "max_box_size": 30.0}
+        assert served.set(confidence_threshold=0.25, **kept) == (True, "")
+        before = {setting.name: served.get(setting.name) for setting in SETTINGS}
+        for values, reason in REFUSED:
+            done, told = served.set(**values)
+            assert not done, values
+            assert reason in told, values
+        assert {setting.name: served.get(setting.name) for setting in SETTINGS} == before
+        served.detect()
+    assert served.escaped == []
+
+
+def test_a_threshold_of_an_unknown_class_is_refused_when_the_model_is_loaded(served: ServedNode) -> None:
+    served.bring_to("inactive")
+    assert served.set(class_thresholds=["cow: 0.5"]) == (True, "")
+    assert not served.transition("activate")
+    served.wait_for_log("class_thresholds: 'cow' is not a class of the model (cat, dog).")
+    assert served.set(class_thresholds=["dog: 0.5"]) == (True, "")
+    assert served.transition("activate")
+
+
+def test_a_camera_may_have_its_own_regions_which_hold_in_space_as_well(prepare: Preparations) -> None:
+    parameters = ["image_size:=64", "cameras:=[front, rear]", f"regions:=['{RIGHT}']", "depth:=true"]
+    with ServedNode(prepare, parameters=parameters) as served:
+        front, rear = DepthClient(served, "front"), CameraClient(served, "rear")
+        served.bring_to("active")
+        assert len(front.place().detections) == 1
+        assert served.set(**{"front.regions": [LEFT], "rear.class_thresholds": ["dog: 0.99"]}) == (True, "")
+        assert front.place().detections == []
+        assert class_ids_of(rear.detect()) == ["cat"]
+        assert served.set(**{"regions": [LEFT], "front.regions": []}) == (True, "")
+        assert [class_ids_of(camera.detect()) for camera in (front, rear)] == [["cat"], []]
+        assert served.set_messages([ParameterMessage(name="front.regions")]) == (True, ""), "a deletion"
+        assert class_ids_of(front.detect()) == []
+        done, reason = served.set(**{"front.regions": ["0,0"]})
+        assert not done
+        assert reason.startswith("front.regions: ['0,0'] must be polygons, but entry 1 has 1 points")
+    assert served.escaped == []
+
+
+def test_masks_number_what_counts_and_the_annotated_image_shows_the_regions(prepare: Preparations) -> None:
+    """The cat is in the upper left, the dog in the lower right."""
+    SegmentingModel(prepare)
+    with ServedNode(prepare, parameters=PARAMETERS) as served:
+        served.bring_to("active")
+        masks, drawn = MasksSubscriber(CameraClient(served, size_hw=SIZE_HW)), list[Image]()
+        served.client.create_subscription(Image, "/yolov5/image", drawn.append, QoSProfile(depth=10))
+        masks.begin()
+        assert served.set(ignore_regions=["0,0 0.5,0 0.5,1 0,1"]) == (True, "")
+        array, message = masks.segment()
+        assert class_ids_of(array) == ["dog"]
+        labels = np.zeros(SIZE_HW, np.uint16)
+        labels[64:88, 32:112] = 1  # also where the cat is in front of the dog
+        np.testing.assert_array_equal(pixels(message), labels)
+        served.wait_for(lambda: any(one.header == array.header for one in drawn), "the annotated image")
+        (seen,) = (image_of_message(one).pixels for one in drawn if one.header == array.header)
+        expected = np.full((*SIZE_HW, 3), 114, np.uint8)
+        ignored = Region.parse("0,0 0.5,0 0.5,1 0,1")
+        draw_regions(expected, BoxFilter(ignore_regions=(ignored,)), line_px=1)
+        np.testing.assert_array_equal(seen[:20], expected[:20])
+        assert (expected[:20] != 114).any()
+    assert served.escaped == []

@@ -1,0 +1,202 @@
+"""The installed detector as a process, with the embedded model: images, signals, memory."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Image
+from support.colcon_workspace import REPOSITORY
+from support.detector_process import (
+    NODE,
+    PARAMETERS,
+    SEED,
+    DetectorProcess,
+    as_arguments,
+    detector_process,
+    environment,
+    parameter_file,
+    scene_image,
+)
+from support.random_model import blank_model
+from support.runtime_names import EVERY_RUNTIME
+from support.sighting import Sighting
+from vision_msgs.msg import Detection2DArray
+
+from benchmark.process_memory import resident_mb
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.quantization.calibration_file import path_beside, read_calibration, write_calibration
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.demo.ground_truth import matched
+from yolov5_lifecycle.ros.detector.command import FINALIZED_S
+from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.observer import PATIENCE_S
+from yolov5_lifecycle.runtimes.registry import installed_runtimes
+
+SHAPES = REPOSITORY / "weights" / "shapes.safetensors"
+
+
+@pytest.mark.end_to_end
+def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: DetectorProcess) -> None:
+    truths: dict[int, Detection2DArray] = {}
+
+    def take_truth(message: Detection2DArray) -> None:
+        truths[stamp_ns(message.header)] = message
+
+    observer, messages = detector.observer, detector.detections
+    subscription = observer.create_subscription(Detection2DArray, "/camera/truth", take_truth, 10)
+    assert detector.node.set_parameters(tracker="bytetrack", track_timeout=60.0) == ""
+    parameters = {"width": 320, "height": 240, "seed": SEED, "frame_id": "lens"}
+    remap = f"image_raw:={NODE}/image_raw"
+    command = [entry_point("camera"), "--ros-args", "-r", remap, *as_arguments(parameters)]
+    with ChildProcess("camera", command, environment(detector.domain)) as camera:
+        observer.wait_for(lambda: bool(truths), "the camera's truth")
+        detector.bring_to("active")
+        observer.wait_for(lambda: len(messages) >= 60, "60 messages")
+        assert {message.header.frame_id for message in messages} == {"lens"}
+        pairs = [(truths[stamp], one) for one in messages if (stamp := stamp_ns(one.header)) in truths]
+        right = sum(len(matched(truth, found)) for truth, found in pairs)
+        assert right > 0.9 * sum(len(truth.detections) for truth, _ in pairs) > 0
+        assert {each.id for each in messages[-1].detections} != {""}
+        assert detector.transition("deactivate")
+        last_ns = stamp_ns(messages[-1].header)
+        assert detector.transition("activate")
+        observer.wait_for(lambda: stamp_ns(messages[-1].header) > last_ns, "messages once active again")
+        assert camera.stop(signal.SIGINT) == 0
+    observer.destroy_subscription(subscription)
+
+
+def test_an_unreadable_image_is_counted_and_one_without_shapes_gives_an_empty_message(
+    active: DetectorProcess,
+) -> None:
+    active.look()
+    rejected = int(active.status()["frames rejected"])
+    image = scene_image()
+    image.encoding = "32FC1"
+    active.publish(image)
+    status = active.wait_until_rejected(rejected + 1, "32FC1")
+    assert int(status["frames rejected"]) == rejected + 1
+    assert len(active.look().scores) > 0
+    image = scene_image()
+    image.data[:] = type(image.data)("B", bytes([114]) * len(image.data))
+    assert active.detect(image).detections == []
+
+
+def test_the_annotated_image_has_the_header_of_its_source_and_boxes_drawn(active: DetectorProcess) -> None:
+    drawn: list[Image] = []
+    topic = f"{NODE}/image"
+    subscription = active.observer.create_subscription(Image, topic, drawn.append, QoSProfile(depth=1))
+
+    def is_discovered() -> bool:
+        active.look()
+        return bool(drawn)
+
+    active.observer.wait_for(is_discovered, "the node to discover the subscriber")
+    source = scene_image()
+    found = Sighting.of(active.detect(source))
+    active.observer.wait_for(lambda: drawn[-1].header == source.header, "the annotated image")
+    active.observer.destroy_subscription(subscription)
+    changed = (image_of_message(drawn[-1]).pixels != image_of_message(source).pixels).any(axis=2)
+    for x1, y1, _, y2 in np.rint(found.boxes_xyxy).astype(int):
+        left_side = changed[y1 + 3 : y2 - 3, max(x1 - 1, 0) : x1 + 2]
+        assert left_side.any(axis=1).mean() > 0.9
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_deactivate_releases_the_memory_of_the_model(
+    detector: DetectorProcess, tmp_path: Path, runtime: str
+) -> None:
+    large = tmp_path / "yolov5m.safetensors"  # whose network takes 85 MB
+    write_safetensors(blank_model(SIZES["m"]), large)
+    assert detector.node.set_parameters(weights=str(large), runtime=runtime, image_size=64) == ""
+    detector.bring_to("active")
+    detector.bring_to("inactive")  # what a runtime brings once, its code, stays
+    before_mb = resident_mb(detector.process.process_id)
+    for _ in range(2):
+        detector.bring_to("active")
+        assert resident_mb(detector.process.process_id) > before_mb + 80
+        detector.bring_to("inactive")
+        assert resident_mb(detector.process.process_id) < before_mb * 1.1
+
+
+@pytest.mark.long
+@pytest.mark.skipif("openvino" not in installed_runtimes(), reason="no openvino: make install")
+def test_precision_int8_is_a_reload_that_needs_a_calibration_and_goes_on_finding_the_shapes(
+    active: DetectorProcess, tmp_path: Path
+) -> None:
+    weights = Path(shutil.copy(SHAPES, tmp_path / "best.safetensors"))
+    assert active.node.set_parameters(weights=str(weights)) == ""
+    in_fp32 = active.look(0)
+    assert f"`calibrate {weights} DATA --image-size 320`" in active.node.set_parameters(precision="int8")
+    assert active.status()["precision"] == "fp32"
+    calibration = read_calibration(path_beside(SHAPES)).model_copy(update={"image_size": 320})
+    write_calibration(path_beside(weights), calibration)
+    assert active.node.set_parameters(precision="int8") == ""
+    status = active.status()
+    assert (status["precision"], status["runtime"]) == ("int8", "openvino")
+    assert abs(len(active.look(1).class_names) - len(in_fp32.class_names)) <= 1
+    assert active.node.set_parameters(precision="auto") == ""
+    assert active.status()["precision"] == "fp32"
+
+
+@pytest.mark.long
+def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path: Path) -> None:
+    absent = str(tmp_path / "absent.yaml")
+    aliases = tmp_path / "aliases.yaml"
+    lines = [f"l{level}: &l{level} [{f'*l{level - 1}, ' * 10}]" for level in range(1, 12)]
+    aliases.write_text(
+        "\n".join(["/**:", "  ros__parameters:", "    l0: &l0 [x]", *(f"    {line}" for line in lines)])
+    )
+    arguments = parameter_file(tmp_path, "autostart: true\nclasses: [circle, 0.5]")
+    arguments += ["--params-file", absent, "--params-file", str(aliases)]
+    with detector_process(*arguments) as detector:
+        reasons = [
+            "line 4: a list must hold values of one type, this one has 'circle' and 0.5: "
+            'write ["circle", "0.5"]',
+            f"{absent}: No such file or directory",
+            "aliases.yaml: line 4: an alias (*l0)",
+        ]
+        for _ in range(2):
+            told = detector.status()
+            assert told["level"] == "ERROR"
+            for reason in reasons:
+                assert reason in told["message"]
+                detector.process.wait_for_output(reason, PATIENCE_S)
+            assert not detector.transition("configure")
+        assert "Failed to parse global arguments" not in detector.process.output
+        assert detector.process.stop(signal.SIGTERM) == 0
+
+
+@pytest.mark.end_to_end
+@pytest.mark.parametrize(
+    ("state", "signal_number"),
+    [
+        pytest.param("active", signal.SIGINT, id="active-SIGINT"),
+        pytest.param("inactive", signal.SIGINT, id="inactive-SIGINT", marks=pytest.mark.long),
+        pytest.param("unconfigured", signal.SIGTERM, id="unconfigured-SIGTERM", marks=pytest.mark.long),
+        pytest.param("active", signal.SIGTERM, id="active-SIGTERM", marks=pytest.mark.long),
+    ],
+)
+def test_a_signal_ends_the_process_cleanly(state: str, signal_number: signal.Signals) -> None:
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        detector.bring_to(state)
+        if state == "active":
+            detector.look()
+        assert detector.process.stop(signal_number) == 0
+    assert "Traceback" not in detector.process.output
+
+
+@pytest.mark.long
+def test_the_transition_shutdown_is_answered_and_ends_the_process_cleanly() -> None:
+    assert FINALIZED_S >= 2 * 2.0, "Nav2's manager waits 2 s for the answer of get_state"
+    with detector_process(*as_arguments(PARAMETERS)) as detector:
+        detector.bring_to("active")
+        assert detector.transition("shutdown")
+        assert detector.process.wait(PATIENCE_S) == 0
+    assert "Traceback" not in detector.process.output

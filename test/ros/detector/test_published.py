@@ -1,0 +1,369 @@
+"""Masks and annotated images, raw and compressed, are published for those who subscribe to them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
+from support.camera_client import CameraClient, DepthClient
+from support.preparations import CLASS_NAMES, Preparations, prediction
+from support.random_model import random_frame
+from support.runtime_names import EVERY_RUNTIME
+from support.segmented_scene import (
+    CAT_XYXY,
+    DOG_XYXY,
+    PARAMETERS,
+    SIZE_HW,
+    MasksSubscriber,
+    SegmentingModel,
+    labels,
+    pixels,
+    rows,
+)
+from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+from support.small_families import segmentation_checkpoint
+from vision_msgs.msg import Detection2D, Detection2DArray
+
+from yolov5_lifecycle import load_model
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.draw import annotate
+from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.images.image import ColourImage, ImageError
+from yolov5_lifecycle.ros.detector import outputs
+from yolov5_lifecycle.ros.messages import image_message, image_of_message
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+
+# Annotated images
+
+
+class Viewer:
+    """Receives the annotated images of `camera`."""
+
+    def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
+        self._camera = camera
+        self.received: list[Any] = []
+        newest = QoSProfile(depth=10)
+        camera.served.client.create_subscription(kind, camera.topic(topic), self.received.append, newest)
+
+    def begin(self) -> None:
+        """Send images until one is drawn, as the node may not have discovered the subscriber yet."""
+        self._camera.served.wait_for(lambda: bool(self._camera.detect()) and bool(self.received), "an image")
+
+    def of(self, header: Header) -> Any:
+        """The annotated image with this header."""
+
+        def drawn() -> list[Any]:
+            return [message for message in self.received if message.header == header]
+
+        self._camera.served.wait_for(lambda: bool(drawn()), "the annotated image")
+        return drawn()[0]
+
+
+@pytest.mark.parametrize("order", ["rgb", "bgr"])
+def test_an_image_is_drawn_in_both_forms_with_its_header_and_colours(served: ServedNode, order: str) -> None:
+    served.bring_to("active")
+    camera = CameraClient(served)
+    raw, compressed = Viewer(camera), Viewer(camera, "image/compressed", CompressedImage)
+    raw.begin()
+    compressed.begin()
+    colour = (10, 120, 240)
+    shown = image(encoding=f"{order}8")
+    shown.data[:] = type(shown.data)("B", bytes(colour) * (len(shown.data) // 3))
+    array = camera.see(shown)
+    drawn, jpeg = raw.of(array.header), compressed.of(array.header)
+    assert (drawn.encoding, jpeg.format) == (f"{order}8", f"{order}8; jpeg compressed bgr8")
+    assert image_of_message(drawn).pixels[40, 40].tolist() == list(colour)
+    in_bgr = colour if order == "bgr" else colour[::-1]
+    np.testing.assert_allclose(image_of_message(jpeg).pixels[40, 40].astype(int), in_bgr, atol=5)
+
+
+def test_only_images_with_subscribers_are_encoded_and_one_that_cannot_be_leaves_the_raw_one(
+    served: ServedNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoded: list[ColourImage] = []
+
+    def refuse(image: ColourImage) -> NDArray[np.uint8]:
+        encoded.append(image)
+        raise ImageError("no room")
+
+    monkeypatch.setattr(outputs, "encode_jpeg", refuse)
+    served.bring_to("active")
+    camera = CameraClient(served)
+    raw = Viewer(camera)
+    raw.begin()
+    raw.of(camera.see().header)
+    assert not encoded
+    Viewer(camera, "image/compressed", CompressedImage)
+    served.wait_for(lambda: bool(camera.detect()) and bool(encoded), "an attempt")
+    served.wait_for_log("no image on ~/image/compressed: no room")
+    raw.of(camera.see().header)
+    assert served.counts()["failed"] == 0
+
+
+def test_a_subscriber_to_the_remapped_compressed_image_alone_keeps_a_lazy_node_detecting(
+    prepare: Preparations,
+) -> None:
+    received: list[CompressedImage] = []
+    with ServedNode(prepare, arguments=["--ros-args", "-r", "~/image:=/screen"]) as served:
+        served.bring_to("active")
+        served.client.create_subscription(CompressedImage, "/screen/compressed", received.append, 1)
+        served.ignore_detections()
+        served.send_until(lambda: bool(received), "a compressed image")
+        assert image_of_message(received[0]).size_hw == (48, 64)
+    assert served.escaped == []
+
+
+def corners_xyxy(detection: Detection2D) -> list[float]:
+    centre, box = detection.bbox.center.position, detection.bbox
+    half_x, half_y = box.size_x / 2, box.size_y / 2
+    return [centre.x - half_x, centre.y - half_y, centre.x + half_x, centre.y + half_y]
+
+
+def drawn(
+    array: Detection2DArray, size_hw: tuple[int, int], distance_m: float | None, *, has_ids: bool = True
+) -> NDArray[np.uint8]:
+    """The grey source image with the detections of `array`, as detection/draw.py draws them."""
+    found = array.detections
+    detections = Detections(
+        np.array([corners_xyxy(one) for one in found], np.float32),
+        np.array([one.results[0].hypothesis.score for one in found], np.float32),
+        np.array([CLASS_NAMES.index(one.results[0].hypothesis.class_id) for one in found], np.int64),
+        track_ids=tuple(one.id for one in found) if has_ids else (),
+    )
+    source = ColourImage(image_of_message(image(*size_hw)).pixels, "rgb")
+    return annotate(source, detections, CLASS_NAMES, distances_m=[distance_m])
+
+
+def test_ids_and_distances_are_drawn_although_nobody_asks_for_detections_in_space(
+    prepare: Preparations,
+) -> None:
+    size_hw = (240, 320)
+    parameters = ["image_size:=320", "depth:=true", "tracker:=bytetrack", "track_timeout:=60.0"]
+    with ServedNode(prepare, parameters=parameters) as served:
+        served.bring_to("active")
+        camera = DepthClient(served, wall_m=2.4, size_hw=size_hw)
+        viewer = Viewer(camera)
+        viewer.begin()
+        camera.track()
+        placed = camera.place()
+        position = placed.detections[0].bbox.center.position
+        distance_m = float(np.linalg.norm((position.x, position.y, position.z)))
+        array = next(one for one in camera.detections if one.header.stamp == placed.header.stamp)
+        seen = image_of_message(viewer.of(array.header)).pixels
+        np.testing.assert_array_equal(seen, drawn(array, size_hw, distance_m))
+        assert (seen != drawn(array, size_hw, None)).any()
+        assert (seen != drawn(array, size_hw, distance_m, has_ids=False)).any()
+        array = camera.see()  # without a depth image of its time
+        seen = image_of_message(viewer.of(array.header)).pixels
+        np.testing.assert_array_equal(seen, drawn(array, size_hw, None))
+        served.client.destroy_subscription(camera.subscription)
+
+        def is_shown() -> bool:
+            camera.send_depth()
+            array = camera.see()
+            seen = image_of_message(viewer.of(array.header)).pixels
+            return bool((seen == drawn(array, size_hw, distance_m)).all())
+
+        served.wait_for(is_shown, "a distance in the image")
+    assert served.escaped == []
+
+
+# Masks
+
+
+@pytest.fixture
+def model(prepare: Preparations) -> SegmentingModel:
+    return SegmentingModel(prepare)
+
+
+@pytest.fixture
+def camera(prepare: Preparations, model: SegmentingModel) -> Iterator[CameraClient]:
+    """Of an active node whose model segments."""
+    with ServedNode(prepare, parameters=PARAMETERS) as served:
+        served.bring_to("active")
+        yield CameraClient(served, size_hw=SIZE_HW)
+    assert served.escaped == []
+
+
+@pytest.fixture
+def masks(camera: CameraClient) -> MasksSubscriber:
+    """A subscriber that the node has discovered."""
+    masks = MasksSubscriber(camera)
+    masks.begin()
+    return masks
+
+
+def test_masks_number_the_detections_with_the_same_stamp(
+    prepare: Preparations, masks: MasksSubscriber, model: SegmentingModel
+) -> None:
+    array, message = masks.segment()
+    assert class_ids_of(array) == ["cat", "dog"]
+    assert message.header == array.header
+    assert (message.encoding, message.is_bigendian) == ("16UC1", 0)
+    assert (message.height, message.width, message.step) == (*SIZE_HW, 2 * SIZE_HW[1])
+    np.testing.assert_array_equal(pixels(message), labels())
+    prepare.running.run = rows
+    computed = model.computed
+    array, message = masks.segment()
+    assert array.detections == []
+    np.testing.assert_array_equal(pixels(message), np.zeros(SIZE_HW))
+    assert model.computed == computed, "no prototypes are needed for that"
+
+
+def test_masks_are_computed_only_while_somebody_asks_for_them_which_keeps_a_lazy_node_detecting(
+    camera: CameraClient, model: SegmentingModel
+) -> None:
+    served = camera.served
+    for _ in range(3):
+        assert class_ids_of(camera.see()) == ["cat", "dog"]
+    assert model.computed == 0
+    masks = MasksSubscriber(camera)
+    masks.begin()
+    assert model.computed > 0
+    masks.leave()
+
+    def is_detected_without_masks() -> bool:
+        before = model.computed
+        camera.see()
+        return model.computed == before
+
+    served.wait_for(is_detected_without_masks, "the node to compute no masks")
+    served.ignore_detections()
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+    masks = MasksSubscriber(camera)
+    served.wait_for(lambda: bool(camera.send()) and bool(masks.received), "masks")
+    masks.leave()
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+
+
+def test_an_image_that_is_detected_before_somebody_subscribes_has_no_masks(
+    camera: CameraClient, prepare: Preparations, model: SegmentingModel
+) -> None:
+    served, entered, release = camera.served, threading.Event(), threading.Event()
+
+    def wait() -> NDArray[np.float32]:
+        entered.set()
+        assert release.wait(PATIENCE_S)
+        return rows(0.9, 0.8)
+
+    prepare.running.run = wait
+    served.wait_for(lambda: bool(camera.images.get_subscription_count()), "the node to subscribe")
+    early = camera.send()
+    served.wait_for(entered.is_set, "inference to begin")
+    masks, viewer = MasksSubscriber(camera), Viewer(camera)
+    topics = ("/yolov5/masks", "/yolov5/image")
+    served.wait_for(lambda: all(map(served.node.count_subscribers, topics)), "the subscribers")
+    release.set()
+    assert class_ids_of(camera.detections_of(early)) == ["cat", "dog"]
+    assert model.computed == 0
+    masks.begin()
+    viewer.of(camera.see().header)
+    assert early not in [message.header for message in masks.received]
+    assert served.counts()["failed"] == 0
+
+
+def test_the_annotated_image_shows_masks_translucent(camera: CameraClient, model: SegmentingModel) -> None:
+    viewer = Viewer(camera)
+    viewer.begin()
+    assert model.computed > 0
+    seen = image_of_message(viewer.of(camera.see().header)).pixels
+    grey = ColourImage(np.full((*SIZE_HW, 3), 114, np.uint8), "rgb")
+    found = Detections(
+        np.array([CAT_XYXY, DOG_XYXY], np.float32), np.array([0.9, 0.8], np.float32), np.array([0, 1])
+    )
+    np.testing.assert_array_equal(seen, annotate(grey, found, CLASS_NAMES, label_image=labels()))
+    assert (seen != annotate(grey, found, CLASS_NAMES)).any()
+
+
+def test_masks_fit_the_detections_that_the_tracker_leaves(
+    prepare: Preparations, masks: MasksSubscriber, camera: CameraClient
+) -> None:
+    assert camera.served.set(tracker="bytetrack", track_timeout=60.0) == (True, "")
+    camera.served.wait_for(lambda: all(one.id for one in masks.segment()[0].detections), "tracks")
+    array, message = masks.segment()
+    assert [detection.id for detection in array.detections] == ["1", "2"]
+    np.testing.assert_array_equal(pixels(message), labels())
+    prepare.running.run = lambda: rows(0.9, 0.15)  # continues a track, but is not published
+    array, message = masks.segment()
+    assert [detection.id for detection in array.detections] == ["1"]
+    np.testing.assert_array_equal(pixels(message), np.where(labels() == 1, 1, 0))
+
+
+def test_masks_that_cannot_be_computed_are_a_failed_frame(
+    prepare: Preparations, masks: MasksSubscriber, camera: CameraClient
+) -> None:
+    served, compute = camera.served, prepare.running.compute_prototypes
+
+    def fail() -> NDArray[np.float32]:
+        raise InferenceError("the device is on fire")
+
+    prepare.running.compute_prototypes = fail
+    lost = camera.send()
+    served.wait_for(lambda: served.counts()["failed"] >= 1, "the failure")
+    served.wait_for_log("inference failed: InferenceError: the device is on fire")
+    counts = served.counts()
+    assert counts["detected"] + counts["stale"] == counts["received"] - counts["failed"]
+    prepare.running.compute_prototypes = compute
+    masks.segment()
+    assert lost not in [message.header for message in (*camera.detections, *masks.received)]
+    assert served.state() == "active"
+
+
+def test_a_subscriber_to_masks_alone_does_not_keep_a_model_detecting_that_does_not_segment(
+    served: ServedNode, prepare: Preparations
+) -> None:
+    served.bring_to("active")
+    camera = CameraClient(served, size_hw=SIZE_HW)
+    masks, told = MasksSubscriber(camera), "~/masks has a subscriber, but the loaded model does not segment"
+    served.wait_for(lambda: bool(camera.detect()) and told in served.status().message, "the remark")
+    assert "masks" not in served.values()
+    assert masks.received == []
+    served.ignore_detections()
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+    SegmentingModel(prepare)
+    assert served.set(image_size=128) == (True, "")
+    served.wait_for(lambda: bool(camera.send()) and bool(masks.received), "masks")
+    np.testing.assert_array_equal(pixels(masks.received[0]), labels())
+    assert served.values()["masks"] == "2 coefficients"
+    prepare.mask_coefficients, prepare.compute_prototypes = 0, None
+    prepare.run = lambda: prediction("cat", 0.9)
+    assert served.set(image_size=64) == (True, "")
+    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+
+
+SETTINGS = {"device": "cpu", "image_size": 96, "confidence_threshold": 0.3, "max_detections": 12}
+
+
+@pytest.mark.end_to_end
+@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
+def test_the_masks_of_a_checkpoint_are_published(runtime: str, tmp_path: Path) -> None:
+    """As YOLOv5 writes a segmentation checkpoint, with each real engine."""
+    weights = tmp_path / "small-seg.pt"
+    weights.write_bytes(segmentation_checkpoint())
+    shown = random_frame(75, 100)
+    detector = load_model(weights, runtime=runtime, **SETTINGS)  # type: ignore[arg-type]  # of any keyword
+    detector.selection = replace(detector.selection, with_masks=True)
+    found = detector(shown)
+    expected = found.label_image()
+    assert expected is not None
+    assert len(np.unique(expected)) > 5, "a model of random weights shows something everywhere"
+    values = SETTINGS | {"weights": weights, "runtime": runtime}
+    with ServedNode(prepare_model, parameters=[f"{k}:={value}" for k, value in values.items()]) as served:
+        served.bring_to("active")
+        camera = CameraClient(served)
+        masks, message = MasksSubscriber(camera), image_message(shown, "bgr8", Header())
+        served.wait_for(lambda: bool(camera.detect(message)) and bool(masks.received), "masks")
+        assert len(served.detections[0].detections) == len(found)
+        np.testing.assert_array_equal(pixels(masks.received[0]), expected)
+        assert served.values()["masks"] == "8 coefficients"
+    assert served.escaped == []
