@@ -125,8 +125,6 @@ def test_a_gap_is_refused(folder: Path, checkpoint: bytes) -> None:
     [
         pytest.param(b"<!DOCTYPE html><title>Log in</title>", "found an HTML page", id="page of a portal"),
         pytest.param(b"", "the file is empty", id="nothing"),
-        pytest.param(b"\0" * 5000, "the file is all zeros", id="zeros"),
-        pytest.param(b"version https://git-lfs.github.com/spec/v1\n", "a Git LFS pointer", id="LFS"),
         pytest.param(b"PK\x03\x04 and so on", "damaged or cut short", id="damaged"),
     ],
 )
@@ -220,21 +218,16 @@ ESCAPES = "\x1b]0;owned\x07\x1b[2J" + "x" * 5000
             sending(b"x", status=404, reason=ESCAPES), "the server answers 404 ?]0;owned?", id="reason"
         ),
         pytest.param(redirecting(f"ftp://{ESCAPES}"), "", id="redirect"),
-        pytest.param(redirecting(f"http://{ESCAPES}"), "", id="redirect to no host"),
         pytest.param(redirecting("http://127.0.0.1:99999999"), "no answer", id="redirect to no port"),
         pytest.param(
             sending(b"x", status=206, Content_Range=f"bytes {'9' * 5000}-"), "the range of a part", id="range"
         ),
         pytest.param(sending(b"x", status=206), "the range of a part", id="part without a range"),
         pytest.param(
-            sending(b"x", status=206, Content_Range=ESCAPES), "the range of a part", id="range of escapes"
-        ),
-        pytest.param(
             sending(b"x", status=206, Content_Range="bytes \xb2-3/4"), "the range of a part", id="odd digit"
         ),
         pytest.param(chunked(b"no number\r\n"), "the connection broke", id="chunk of no size"),
         pytest.param(chunked(b"f" * 5000 + b"\r\nhello"), "the connection broke", id="chunk of a huge size"),
-        pytest.param(sending(b"", status=200), "the file is empty", id="empty"),
     ],
 )
 def test_a_malformed_answer_is_one_short_line_and_leaves_no_file(
@@ -258,18 +251,11 @@ def test_a_chunked_answer_is_read(folder: Path, checkpoint: bytes) -> None:
         assert fetch_from(server, folder).path.read_bytes() == checkpoint
 
 
-def test_a_failed_download_leaves_no_empty_file(folder: Path) -> None:
-    with FileServer(sending(b"", status=503)) as server, pytest.raises(DownloadError):
-        fetch_from(server, folder)
-    assert list(folder.glob("*.pt")) == []
-
-
 @pytest.mark.parametrize(
     ("header", "begin"),
     [
         pytest.param(("Content-Length", str(10**12)), b"", id="announced"),
         pytest.param(("Content-Type", "text/plain"), b"", id="found out"),
-        pytest.param(("Transfer-Encoding", "chunked"), b"-1\r\n", id="a chunk of negative size"),
         pytest.param(("Transfer-Encoding", "chunked"), b"5\r\nhello\r\n-1\r\n", id="a negative chunk later"),
     ],
 )

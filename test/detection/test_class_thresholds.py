@@ -15,7 +15,7 @@ from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
+from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -70,12 +70,3 @@ def test_each_class_is_found_down_to_its_own_threshold(
     np.testing.assert_array_equal(found.class_ids, everything.class_ids[rows])
     np.testing.assert_allclose(found.scores, everything.scores[rows], rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.boxes_xyxy, everything.boxes_xyxy[rows], rtol=0, atol=1e-2)
-
-
-def test_what_scores_below_all_that_is_looked_for_otherwise_is_found(
-    detector: Detector, image: ColourImage
-) -> None:
-    found = detector.detect(image, Selection(confidence_threshold=0.9, class_thresholds=((CIRCLE, LOW),)))
-    faint = found.scores < WORTH_TELLING
-    assert faint.any()
-    assert set(found.class_ids[faint]) == {CIRCLE}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.draw import annotate, class_colour
+from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.draw_regions import IGNORED_BRIGHTNESS
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import Region
@@ -54,12 +54,6 @@ def test_an_ignored_region_is_dark_and_hatched() -> None:
     assert (pixels[: SIDE // 5] == 200).all()
 
 
-def test_where_ignored_regions_overlap_the_image_is_no_darker() -> None:
-    pixels = drawn(plain(200), BoxFilter(ignore_regions=(MIDDLE, WHOLE)))
-    assert np.median(pixels[SIDE // 3 : 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]) == 120
-    assert np.median(pixels[10 : SIDE // 5]) == 120
-
-
 @pytest.mark.parametrize("size_hw", [(1, 1), (2, 300), (300, 2), (1080, 1920)], ids=str)
 def test_a_region_of_the_whole_image_fits_any_image(size_hw: tuple[int, int]) -> None:
     image = plain(114, *size_hw)
@@ -68,16 +62,3 @@ def test_a_region_of_the_whole_image_fits_any_image(size_hw: tuple[int, int]) ->
     assert pixels.shape == (*size_hw, 3)
     assert (pixels != image.pixels).any()
     np.testing.assert_array_equal(image.pixels, 114)
-
-
-def test_boxes_are_drawn_over_regions() -> None:
-    box = Detections(
-        np.array([[60, 60, 180, 180]], np.float32), np.array([0.5], np.float32), np.zeros(1, np.int64)
-    )
-    regions = BoxFilter(regions=(MIDDLE,), ignore_regions=(WHOLE,))
-    pixels = annotate(plain(114), box, ("cat",), box_filter=regions)
-    alone = annotate(plain(114), box, ("cat",))
-    colour = class_colour(0, "bgr")
-    drawn_over = (pixels == colour).all(axis=2)
-    np.testing.assert_array_equal(drawn_over, (alone == colour).all(axis=2))
-    assert drawn_over.any()

@@ -31,7 +31,6 @@ IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
 scores = st.sampled_from((0.06, 0.15, 0.2, 0.3, 0.6, 0.9))
 rows = st.tuples(*[st.integers(8, 56)] * 2, *[st.integers(2, 30)] * 2, scores, scores)
 LOW = 0.1
-MOTIONS: tuple[Literal["auto", "off"], ...] = ("auto", "off")
 levels = st.sampled_from([0.0, 0.06, 0.125, 0.25, 0.3, 0.5, 0.75, 1.0])
 raw_rows = st.tuples(*[st.integers(0, 40)] * 2, *[st.integers(1, 30)] * 2, levels, levels, levels)
 selections = st.builds(
@@ -109,24 +108,6 @@ def test_a_detection_that_is_not_published_continues_its_track() -> None:
     ]
 
 
-def test_what_is_outside_of_regions_is_not_tracked() -> None:
-    rows = predicted([(16, 32, 20, 20, 0.9, 0), (48, 32, 20, 20, 0.9, 0)])
-    tracking = new_tracking()
-    found = found_in([rows] * 3, Selection(box_filter=BoxFilter(regions=(LEFT,))), tracking)
-    assert [each.track_ids for each in found] == [("",), ("1",), ("1",)]
-    assert len(tracking.tracker) == 1
-
-
-def test_each_class_is_tracked_from_its_own_threshold_on() -> None:
-    images = [
-        predicted([(16, 32, 20, 20, score, 0), (48, 32, 20, 20, 0, score)]) for score in (0.6, 0.3, 0.3)
-    ]
-    found = found_in(images, Selection(class_thresholds=((0, 0.5), (1, 0.2))))
-    assert [each.class_ids.tolist() for each in found] == [[0, 1], [1], [1]]
-    assert found[-1].track_ids == ("2",)
-    assert found[-1].best_missed == 0.0
-
-
 @pytest.mark.parametrize("threshold", [0.05, 0.25])
 def test_the_network_is_asked_for_the_lower_of_the_two_thresholds(threshold: float) -> None:
     found = found_in([predicted([(32, 32, 20, 20, 0.08, 0)])] * 2, Selection(confidence_threshold=threshold))
@@ -166,20 +147,6 @@ def test_a_late_image_of_a_camera_that_jumps_is_no_motion() -> None:
     assert ids == [("",), ("1",), ("1",), ("",), ("1",)]
 
 
-def test_images_of_a_still_camera_change_nothing() -> None:
-    images = [predicted([(16 + 2 * number, 32, 20, 20, 0.9, 0)]) for number in range(8)]
-    ids = {
-        motion: [
-            found.track_ids
-            for found in found_in(
-                images, Selection(), new_tracking(TrackerSettings(track_camera_motion=motion))
-            )
-        ]
-        for motion in MOTIONS
-    }
-    assert ids["auto"] == ids["off"]
-
-
 def test_the_motion_of_the_camera_may_be_switched_on_while_it_tracks() -> None:
     """The image before was not looked at, so the first motion is that of the next image."""
     images, rows = jumping(4)
@@ -194,10 +161,6 @@ def test_the_motion_of_the_camera_may_be_switched_on_while_it_tracks() -> None:
         for number, image in enumerate(images)
     ]
     assert ids == [("",), ("1",), ("1",), ("1",)]
-
-
-def test_the_settings_of_the_node_have_the_defaults_of_the_tracker() -> None:
-    assert tracker_settings(Settings()) == TrackerSettings()
 
 
 def test_every_setting_of_the_tracker_is_one_of_the_node() -> None:
@@ -227,16 +190,3 @@ def test_the_published_detections_are_those_of_their_threshold(
     np.testing.assert_array_equal(found.class_ids, expected.class_ids)
     assert found.best_missed == expected.best_missed
     assert [tracked.scores[int(row)] for row in found.track_ids] == expected.scores.tolist()
-
-
-def test_a_missed_score_that_is_noise_is_not_reported() -> None:
-    noise = Detections(np.zeros((1, 4), np.float32), np.array([0.03], np.float32), np.zeros(1, np.int64))
-    found = narrowed(replace(noise, track_ids=("",)), Selection())
-    assert (len(found), found.best_missed, found.track_ids) == (0, 0.0, ())
-
-
-def test_tracking_starts_with_the_settings_of_its_camera_or_not_at_all() -> None:
-    started = TrackedDetection.started(Settings(tracker="bytetrack", track_timeout=0.5), itertools.count(1))
-    assert started is not None
-    assert started.settings.track_timeout == 0.5
-    assert TrackedDetection.started(Settings(), itertools.count(1)) is None
