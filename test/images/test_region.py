@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from yolov5_lifecycle.images.region import MAX_CHARACTERS, MAX_POINTS, PointXY, Region, RegionError
+from yolov5_lifecycle.images.region import MAX_CHARACTERS, MAX_POINTS, PointXY, Region
 
 LARGE = 1024
 """A power of two: fractions of it are exact."""
@@ -59,9 +60,8 @@ def test_a_region_may_have_many_points() -> None:
     ],
 )
 def test_what_is_no_polygon_is_refused_with_the_reason(text: str, reason: str) -> None:
-    with pytest.raises(RegionError) as refusal:
+    with pytest.raises(ValueError, match=re.escape(reason)) as refusal:
         Region.parse(text)
-    assert reason in str(refusal.value)
     assert len(str(refusal.value)) < 250
 
 
@@ -105,7 +105,7 @@ def test_a_polygon_whose_lines_meet_is_refused_and_no_other(listed: list[PointXY
     text = " ".join(f"{x / 10},{y / 10}" for x, y in listed)  # tenths are not exact in binary
     try:
         Region.parse(text)
-    except RegionError as error:
+    except ValueError as error:
         on_one_line = "on one line" in str(error)
         assert on_one_line or not is_simple(listed)
     else:
@@ -120,7 +120,7 @@ def test_a_polygon_whose_lines_meet_is_refused_and_no_other(listed: list[PointXY
 def test_a_point_is_in_a_region_if_opencv_says_so(listed: list[tuple[int, int]], seed: int) -> None:
     try:
         region = Region(tuple((x * 64 / LARGE, y * 64 / LARGE) for x, y in listed))
-    except RegionError:
+    except ValueError:
         assume(False)
     rng = np.random.default_rng(seed)
     # All corners of the grid, many of which lie on a line, and points anywhere.
