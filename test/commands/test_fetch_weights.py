@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
 from yolov5_lifecycle.commands.download import DownloadError
 from yolov5_lifecycle.commands.fetch_weights import MODELS, SHA256, main
 from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.ros.child_process import entry_point
 
 
 @pytest.fixture
@@ -186,25 +188,6 @@ def test_a_terminal_sees_the_progress(
     assert f"{len(checkpoint) / 1e6:.1f} of {len(checkpoint) / 1e6:.1f} MB" in told
 
 
-def test_the_list_shows_what_is_there(
-    folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = folder.with_name("my weights")
-    assert main(["--list", "--dir", str(folder)]) == 0
-    assert f"`fetch_weights n --dir '{folder}'` downloads the smallest" in capsys.readouterr().out
-    folder.mkdir(parents=True)
-    (folder / "yolov5n.pt").write_bytes(bytes(3_900_000))
-    (folder / "best.onnx").touch()
-    unfinished(folder).touch()
-    (folder / "notes.txt").touch()
-    assert main(["--list", "--dir", str(folder)]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        f"     0.0 MB  {folder}/best.onnx",
-        f"     0.0 MB  {unfinished(folder)}  (unfinished: fetch it again)",
-        f"     3.9 MB  {folder}/yolov5n.pt",
-    ]
-
-
 @pytest.mark.parametrize("digest", ["abc", "g" * 64], ids=["too short", "no digits"])
 def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
     folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str], digest: str
@@ -216,12 +199,28 @@ def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
     assert server.requests == []
 
 
-@pytest.mark.parametrize(
-    "arguments", [[], ["n", "--list"], ["huge"], ["n6-seg"], ["n", "s"], ["n", "--unknown"]], ids=str
-)
+@pytest.mark.parametrize("arguments", [[], ["huge"], ["n6-seg"], ["n", "s"], ["n", "--unknown"]], ids=str)
 def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("fetch_weights: ")
+
+
+@pytest.mark.end_to_end
+def test_the_command_resumes_what_was_cut_and_ends_with_a_file_that_the_detector_finds(
+    folder: Path, checkpoint: bytes, digest: str
+) -> None:
+    command = [entry_point("fetch_weights"), "n", "--dir", str(folder), "--sha256", digest, "--safetensors"]
+    with FileServer(sending(checkpoint[:5000], length=len(checkpoint))) as server:
+        command += ["--url", server.address + PATTERN]
+        cut = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert (cut.returncode, cut.stdout) == (1, "")
+        assert "ended after 5000 of" in cut.stderr
+        server.behaviour = sending_ranges(checkpoint)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert server.requests[1] == ("/releases/yolov5n.pt", "bytes=5000-")
+    found = find_weights(weights="", weights_dir=folder, model_size="n")
+    assert done.stdout.splitlines()[0] == str(found) == str(folder / "yolov5n.safetensors")
