@@ -11,12 +11,14 @@ from pathlib import Path
 
 import pytest
 from support.checkpoint_builder import official_model, saved, stripped
-from support.fetched_weights import PATTERN, fetch_from, unfinished
 from support.file_server import (
+    PATTERN,
     FileServer,
     ServedRequest,
+    fetch_from,
     sending,
     sending_ranges,
+    unfinished,
 )
 from support.random_model import CLASS_NAMES
 from support.small_families import SMALL_FAMILIES

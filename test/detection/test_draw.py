@@ -18,7 +18,6 @@ from yolov5_lifecycle.detection.draw import (
     MAX_DRAWN,
     annotate,
     class_colour,
-    draw_masks,
     printable,
     text_colour,
 )
@@ -42,11 +41,6 @@ def black(height: int, width: int, order: Order = "rgb") -> ColourImage:
 def ink_of_class_1(pixels: NDArray[np.uint8]) -> int:
     """Pixels of white letters; the label is blue, the image black."""
     return int((pixels[..., 0] > 100).sum())
-
-
-def label_height(pixels: NDArray[np.uint8], colour: tuple[int, int, int]) -> int:
-    """Rows in which a run of `colour` is as long as only a label's is."""
-    return int(((pixels == colour).all(axis=2).sum(axis=1) > pixels.shape[1] // 40).sum())
 
 
 def test_an_image_without_detections_is_copied() -> None:
@@ -82,16 +76,6 @@ def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ..
     assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle)
 
 
-def test_labels_grow_with_the_image() -> None:
-    colour = class_colour(0, "rgb")
-    heights = []
-    for height, width in [(240, 320), (480, 640), (1080, 1920), (2160, 3840)]:
-        box_xyxy = (width * 0.3, height * 0.5, width * 0.31, height * 0.51)
-        heights.append(label_height(annotate(black(height, width), one(*box_xyxy), NAMES), colour))
-    assert heights[0] >= 9
-    assert all(lower < higher for lower, higher in itertools.pairwise(heights))
-
-
 def test_the_id_of_a_track_stands_in_the_label() -> None:
     plain, unconfirmed, tracked = (
         ink_of_class_1(
@@ -120,13 +104,6 @@ def test_any_box_and_name_can_be_drawn_in_any_image(
     drawn = annotate(black(height, width, order), detections, [name])
     assert drawn.shape == (height, width, 3)
     assert drawn.any() == bool(count)
-
-
-def test_a_better_detection_covers_a_worse_one() -> None:
-    boxes_xyxy = np.array([[50, 50, 100, 100]] * 2, np.float32)
-    both = Detections(boxes_xyxy, np.array([0.9, 0.4], np.float32), np.array([0, 1]))
-    drawn = annotate(black(150, 150), both, NAMES)
-    assert tuple(drawn[100, 75]) == class_colour(0, "rgb")
 
 
 LARGE = 400
@@ -177,18 +154,6 @@ def test_there_may_be_more_detections_than_a_byte_can_number() -> None:
     drawn = annotate(black(LARGE, LARGE), detections, ["?"] * 1001, label_image=label_image)
     for row in (1, 255, 256, 257, 300):
         np.testing.assert_allclose(drawn[row, 5], np.array(class_colour(row, "rgb")) / 2, atol=1)
-
-
-@settings(max_examples=60)
-@given(height=st.integers(1, 20), width=st.integers(1, 20), seed=st.integers(0, 1000))
-def test_pixels_of_no_object_stay_as_they_are_whatever_the_masks(height: int, width: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    image = random_image(height, width)
-    label_image = np.where(rng.random((height, width)) < 0.2, 1, 0).astype(np.uint16)
-    blended = image.pixels.copy()
-    draw_masks(blended, label_image, [(0, 0, 0)])
-    np.testing.assert_array_equal(blended[label_image == 0], image.pixels[label_image == 0])
-    np.testing.assert_allclose(blended[label_image == 1], image.pixels[label_image == 1] / 2, atol=1)
 
 
 @pytest.mark.parametrize(

@@ -71,17 +71,6 @@ def following() -> Camera:
     return camera
 
 
-def test_an_image_without_objects_has_no_ids(camera: Camera) -> None:
-    assert camera.sees(found()) == ()
-    assert len(camera.tracker) == 0
-
-
-def test_a_detection_that_is_not_confirmed_uses_up_no_id(camera: Camera) -> None:
-    for x in (0, 200, 400):
-        assert camera.sees(one(x)) == ("",)
-    assert camera.sees(one(400)) == ("1",)
-
-
 def test_ids_are_in_the_order_of_the_detections(camera: Camera) -> None:
     rows = [(0.0, 0.0, 0.9, 0), (200.0, 0.0, 0.8, 0), (400.0, 0.0, 0.7, 1)]
     camera.sees(found(*rows))
@@ -198,24 +187,6 @@ def test_a_stamp_that_is_no_time_is_refused_and_changes_nothing(following: Camer
     with pytest.raises(ValueError, match="stamp_s must be finite"):
         following.tracker.update(one(100), stamp_s=stamp_s, settings=SETTINGS)
     assert following.sees(one(100)) == ("1",)
-
-
-@pytest.mark.parametrize("rate_hz", [10.0, 30.0])
-def test_those_in_the_view_of_a_camera_that_sways_keep_their_ids(camera: Camera, rate_hz: float) -> None:
-    """40 pixels to both sides, 0.8 times a second, as a robot that walks does."""
-    places = [(100, 90), (260, 300), (420, 120), (560, 330), (60, 340)]
-
-    def at(time_s: float) -> Detections:
-        sway = 40 * np.sin(2 * np.pi * 0.8 * time_s)
-        return found(
-            *(
-                (x + sway, y, score, CLASS)
-                for (x, y), score in zip(places, np.linspace(0.9, 0.6, 5), strict=True)
-            )
-        )
-
-    ids = [camera.sees(at(number / rate_hz), 1 / rate_hz) for number in range(round(6 * rate_hz))]
-    assert len(set(ids[1:])) == 1
 
 
 def test_a_lost_track_moves_with_the_others(camera: Camera) -> None:

@@ -94,34 +94,6 @@ def test_the_elementwise_filter_is_the_one_with_matrices(
         )
 
 
-@given(box=boxes, first_s=seconds, second_s=seconds)
-def test_two_steps_predict_what_one_of_their_length_does(box: Array, first_s: float, second_s: float) -> None:
-    motion = Motion.started(box, SURE)
-    for halves, whole in zip(
-        motion.predicted(first_s).predicted(second_s).arrays,
-        motion.predicted(first_s + second_s).arrays,
-        strict=True,
-    ):
-        np.testing.assert_allclose(halves, whole, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
-def test_the_velocity_is_learned_at_any_rate_with_jitter(rate_hz: float) -> None:
-    rng = np.random.default_rng(0)
-    start, velocity = np.array([[50.0, 60.0, 90.0, 140.0]]), np.array([[40.0, -25.0, 40.0, -25.0]])
-    motion, before_s = Motion.started(start, SURE), 0.0
-    for time_s in np.arange(1, 3 * rate_hz) / rate_hz:
-        now_s = time_s + rng.uniform(-0.3, 0.3) / rate_hz
-        motion = motion.predicted(now_s - before_s).corrected(
-            start + velocity * now_s, SURE, now_s - before_s
-        )
-        before_s = now_s
-    np.testing.assert_allclose(motion.velocity[0], (40, -25, 0, 0), atol=1.0)
-    np.testing.assert_allclose(
-        motion.predicted(0.5).boxes_xyxy, start + velocity * (before_s + 0.5), atol=1.5
-    )
-
-
 def test_a_box_that_shrinks_becomes_empty_and_not_inverted() -> None:
     motion = Motion.started(np.array([[0.0, 0.0, 100.0, 100.0]]), SURE)
     for side in (80.0, 60.0, 40.0):
