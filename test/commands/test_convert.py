@@ -114,13 +114,6 @@ def test_whatever_is_there_is_kept_unless_forced_and_then_replaced(
     assert not (tmp_path / "nowhere").exists()
 
 
-def test_a_link_to_the_input_is_replaced_and_the_input_kept(source: Path, tmp_path: Path) -> None:
-    before, target = source.read_bytes(), tmp_path / "out.safetensors"
-    target.symlink_to(source)
-    assert main([str(source), str(target), "--force"]) == 0
-    assert (source.read_bytes(), target.is_symlink()) == (before, False)
-
-
 def test_letters_that_the_terminal_lacks_are_escaped(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.selection import selection
@@ -71,15 +69,3 @@ def test_without_regions_and_sizes_no_box_is_looked_at(settings: dict[str, Any],
     box_filter = selection(validated(settings), ("cat",)).box_filter
     assert (box_filter is not None) is filters
     assert box_filter is None or box_filter.region_anchor == "center"
-
-
-corners = st.lists(st.tuples(*[st.integers(0, 150)] * 2, *[st.integers(1, 50)] * 2), max_size=6)
-
-
-@given(corners=corners)
-def test_each_box_counts_by_itself(corners: list[tuple[int, ...]]) -> None:
-    settings = {"regions": (LEFT, CORNER), "ignore_regions": (LOWER,), "min_box_size": 5.0}
-    boxes_xyxy = np.array(corners, np.float32).reshape(-1, 4)
-    boxes_xyxy[:, 2:] += boxes_xyxy[:, :2]
-    counts = BoxFilter(**settings).admits(boxes_xyxy, SIZE_HW)  # type: ignore[arg-type]
-    assert counts.tolist() == [admitted(tuple(box), **settings) for box in boxes_xyxy.tolist()]

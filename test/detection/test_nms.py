@@ -166,13 +166,6 @@ def test_what_only_a_tracker_wants_replaces_nothing_that_is_admitted() -> None:
     assert both.class_ids.tolist() == [0, 1]  # best first
 
 
-def test_the_best_score_of_many_rows_is_reported() -> None:
-    raw = np.random.default_rng(3).uniform(0, 0.4, (5000, 7)).astype(np.float32)
-    raw[1234, 4:6] = 0.45
-    best_missed = select(raw, Selection(confidence_threshold=0.5)).best_missed
-    assert best_missed == pytest.approx((raw[:, 4] * raw[:, 5:].max(axis=1)).max())
-
-
 def test_only_the_best_candidates_are_compared_with_the_regions() -> None:
     compared: list[int] = []
 

@@ -127,13 +127,6 @@ def test_a_plain_png_is_not_copied() -> None:
     assert alone.size == data.size - 20
 
 
-def test_the_still_image_of_an_animated_png_is_decoded() -> None:
-    frame = png_builder.animation(8, 9)
-    np.testing.assert_array_equal(
-        decode_compressed(png_builder.image(8, 9, before=frame)).pixels, np.zeros((8, 9, 3))
-    )
-
-
 PIECES = [
     jpeg.SOI,
     jpeg.EOI,

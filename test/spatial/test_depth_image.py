@@ -24,7 +24,6 @@ from yolov5_lifecycle.spatial.depth_image import (
 )
 from yolov5_lifecycle.spatial.intrinsics import (
     Intrinsics,
-    IntrinsicsError,
     intrinsics_of,
 )
 
@@ -151,17 +150,17 @@ def test_k_counts_where_p_is_empty() -> None:
     ],
 )
 def test_values_of_no_camera_are_refused(k: list[float], p: list[float]) -> None:
-    with pytest.raises(IntrinsicsError, match=r"fx and fy of 0.1 to 1e\+07 pixels .* found fx .* Calibrate"):
+    with pytest.raises(ImageError, match=r"fx and fy of 0.1 to 1e\+07 pixels .* found fx .* Calibrate"):
         intrinsics_of(k, p, SIZE_HW)
 
 
 @pytest.mark.parametrize(("k", "p"), [([], P), (K, []), (K[:8], P)], ids=["no K", "no P", "short K"])
 def test_matrices_of_another_size_are_refused(k: list[float], p: list[float]) -> None:
-    with pytest.raises(IntrinsicsError, match="K of 9 and P of 12 values, found"):
+    with pytest.raises(ImageError, match="K of 9 and P of 12 values, found"):
         intrinsics_of(k, p, SIZE_HW)
 
 
 @pytest.mark.parametrize("size_hw", [(0, 640), (480, 0), (480, 16385)])
 def test_a_size_of_no_image_is_refused(size_hw: tuple[int, int]) -> None:
-    with pytest.raises(IntrinsicsError, match="1 to 16384 pixels"):
+    with pytest.raises(ImageError, match="1 to 16384 pixels"):
         intrinsics_of(K, P, size_hw)

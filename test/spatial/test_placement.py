@@ -76,24 +76,6 @@ def test_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(
     assert np.median(centre_errors(difficulty, shapes)) <= 0.02
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("difficulty", "shapes"),
-    [
-        pytest.param("sloped background", SOLID, id="solid"),
-        pytest.param("sloped background", THIN, id="thin"),
-        pytest.param("30 % holes", SOLID, id="solid, 30 % holes"),
-        pytest.param("30 % holes", THIN, id="thin, 30 % holes"),
-        pytest.param("half occluded", SOLID, id="solid, half occluded"),
-        pytest.param("on a floor", SOLID, id="solid, on a floor"),
-    ],
-)
-def test_95_of_100_centres_are_at_most_5_percent_of_the_range_away(
-    difficulty: str, shapes: tuple[Shape, ...]
-) -> None:
-    assert np.quantile(centre_errors(difficulty, shapes), 0.95) <= 0.05
-
-
 @cache
 def floor_errors(kind: Kind, *, is_ideal: bool) -> NDArray[np.float64]:
     """The same for things on a floor, seen from above."""
