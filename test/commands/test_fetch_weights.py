@@ -217,11 +217,11 @@ def test_the_command_resumes_what_was_cut_and_ends_with_a_file_that_the_detector
     command = [entry_point("fetch_weights"), "n", "--dir", str(folder), "--sha256", digest, "--safetensors"]
     with FileServer(sending(checkpoint[:5000], length=len(checkpoint))) as server:
         command += ["--url", server.address + PATTERN]
-        cut = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        cut = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         assert (cut.returncode, cut.stdout) == (1, "")
         assert "ended after 5000 of" in cut.stderr
         server.behaviour = sending_ranges(checkpoint)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert server.requests[1] == ("/releases/yolov5n.pt", "bytes=5000-")
     found = find_weights(weights="", weights_dir=folder, model_size="n")

@@ -196,7 +196,7 @@ def millimetres(seed: int) -> NDArray[np.uint16]:
 
 
 @given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Boxes) -> None:
     depth = DepthImage(millimetres(seed), 0.001)
     alone = [place(box[None], SIZE_HW, depth, CAMERA) for box in boxes_xyxy]
@@ -204,7 +204,7 @@ def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Box
 
 
 @given(data=st.binary(min_size=0, max_size=64), boxes_xyxy=several_boxes)
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_any_values_and_boxes_give_finite_numbers_or_a_reason(data: bytes, boxes_xyxy: Boxes) -> None:
     buffer = np.resize(np.frombuffer(data or b"\0", np.uint8), 320 * 240 * 4)
     depth = decode_depth(buffer, encoding="32FC1", height=240, width=320, step=1280, is_bigendian=False)

@@ -124,18 +124,6 @@ def test_a_camera_that_jumps_keeps_its_ids_if_its_motion_is_looked_for(
     assert set(ids[1:]) == expected
 
 
-def test_a_late_image_of_a_camera_that_jumps_is_no_motion() -> None:
-    images, rows = jumping(4)
-    late = 2
-    order = [0, 1, 3, late, 3]  # seen at the other side, and shown between two images from one side
-    detector, tracking = detector_of([rows[number] for number in order]), new_tracking()
-    ids = [
-        tracking.detect(detector, images[number], Selection(), stamp_s).track_ids
-        for number, stamp_s in zip(order, (0.0, 0.1, 0.3, 0.2, 0.4), strict=True)
-    ]
-    assert ids == [("",), ("1",), ("1",), ("",), ("1",)]
-
-
 def test_the_motion_of_the_camera_may_be_switched_on_while_it_tracks() -> None:
     """The image before was not looked at, so the first motion is that of the next image."""
     images, rows = jumping(4)
