@@ -105,13 +105,6 @@ def test_a_stream_that_is_played_once_ends() -> None:
     assert camera.waits_s == []
 
 
-def test_a_first_connection_that_fails_is_an_error() -> None:
-    camera = Camera([None])
-    with pytest.raises(SourceError, match=r"'rtsp://\*\*\*@camera/stream' cannot be opened"):
-        camera.numbers(1)
-    assert camera.captures[0].is_released
-
-
 @pytest.mark.parametrize(("length", "rate_hz"), [(0, None), (100, 25.0)], ids=["camera", "file"])
 def test_only_a_file_that_is_served_has_a_rate(length: int, rate_hz: float | None) -> None:
     camera = Camera([1], length=length)

@@ -168,17 +168,19 @@ def ids_of(message: Detection2DArray | Detection3DArray) -> list[str]:
 def test_all_that_is_known_of_an_image_has_its_header_on_the_remapped_topics(
     observer: Observer, ros_domain: int
 ) -> None:
-    received = [collected(observer, message_type, topic) for topic, message_type in TOPICS.items()]
+    received = [collected(observer, kind, topic, BEST_EFFORT) for topic, kind in TOPICS.items()]
     parameters = {"width": 160, "height": 120, "seed": 4, "frame_id": "lens"}
     parameters |= {
         "depth": True,
         "image_transport": "both",
-        "qos_overrides./front/depth/image_raw.publisher.depth": 3,
+        "qos_overrides./front/image_raw.publisher.reliability": "best_effort",
     }
     with camera_process(
         ros_domain, "--ros-args", "-r", "image_raw:=/front/image_raw", *as_arguments(parameters)
     ):
         observer.wait_for(lambda: len(together(*received)) >= 3, "messages on every topic")
+        (publisher,) = observer.get_publishers_info_by_topic("/front/image_raw")
+    assert publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
     scene = Scene(4, (120, 160))
     space = SceneDepth(4, scene)
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
@@ -217,25 +219,6 @@ def test_of_files_nothing_more_is_known_and_camera_info_is_not_calibrated(
     assert not masks
     assert not {name for name in published if "depth" in name or "3d" in name}
     assert {tuple(info.k) for info in infos.values()} == {(0.0,) * 9}
-
-
-@pytest.mark.long
-def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_asked_for(
-    observer: Observer, ros_domain: int
-) -> None:
-    jpegs = collected(observer, CompressedImage, "/image_raw/compressed", BEST_EFFORT)
-    parameters = {"image_transport": "compressed", "encoding": "mono8", "width": 160, "height": 120}
-    override = {"qos_overrides./image_raw/compressed.publisher.reliability": "best_effort"}
-
-    def offers() -> list[ReliabilityPolicy]:
-        publishers = observer.get_publishers_info_by_topic("/image_raw/compressed")
-        return [publisher.qos_profile.reliability for publisher in publishers]
-
-    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters | override)):
-        observer.wait_for(lambda: bool(jpegs and offers()), "an image and its publisher")
-        assert offers() == [ReliabilityPolicy.BEST_EFFORT]
-        assert observer.count_publishers("/image_raw") == 0
-    assert {jpeg.format for jpeg in jpegs.values()} == {"mono8; jpeg compressed "}
 
 
 def test_what_nobody_subscribes_to_is_not_encoded(

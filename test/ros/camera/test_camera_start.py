@@ -113,20 +113,3 @@ def test_a_wrong_parameter_is_explained(
         assert camera.wait(END_S) == 2
     assert all(word in camera.output for word in told), camera.output
     assert "Traceback" not in camera.output
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("words", "code", "told"),
-    [
-        pytest.param(["--help"], 0, "rate ", id="help"),
-        pytest.param(["--source", "0"], 2, "not understood: --source 0", id="unknown flag"),
-        pytest.param(
-            ["--ros-args", "--params-file", "/nowhere.yaml"], 2, "/nowhere.yaml", id="parameter file"
-        ),
-    ],
-)
-def test_the_command_line_is_explained(ros_domain: int, words: list[str], code: int, told: str) -> None:
-    with camera_process(ros_domain, *words) as camera:
-        assert camera.wait(END_S) == code
-    assert told in camera.output
