@@ -163,7 +163,7 @@ def test_the_readme_shows_the_refusal_of_its_wrong_file(tmp_path: Path) -> None:
 
 
 def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
-    with pytest.raises(ValueError) as refused:
+    with pytest.raises(ValueError, match="circel") as refused:
         class_ids(["circel"], CLASS_NAMES)
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
 
