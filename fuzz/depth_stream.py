@@ -21,7 +21,7 @@ from yolov5_lifecycle.spatial.depth_image import (
     DepthImage,
     decode_depth,
 )
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of
 from yolov5_lifecycle.spatial.placement import Placement, Unplaced, place
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY, DepthPairing, Unpaired
 
@@ -86,8 +86,8 @@ class _Stream:
         *values, height, width = fields.unpack(_CAMERA_INFO)
         k, p = _matrix(values[:4], columns=3), _matrix(values[4:], columns=4)
         size_hw = self._size_hw if fits else (height, width)
-        intrinsics = taken(lambda: intrinsics_of(k, p, size_hw), IntrinsicsError)
-        if isinstance(intrinsics, IntrinsicsError):
+        intrinsics = taken(lambda: intrinsics_of(k, p, size_hw), ImageError)
+        if isinstance(intrinsics, ImageError):
             assert str(intrinsics).isprintable()
         else:
             self._intrinsics = intrinsics

@@ -129,8 +129,8 @@ def of_package(command: str) -> str:
 
 
 def commands(page: Path) -> list[str]:
-    """What a reader may type: the lines of the console blocks, and the list that the text speaks of."""
-    return [line.strip() for line in typed(page)] + [span for span in spans(page) if span.endswith(" --list")]
+    """What a reader may type: the lines of the console blocks."""
+    return [line.strip() for line in typed(page)]
 
 
 def check_make(target: str, *assignments: str) -> None:

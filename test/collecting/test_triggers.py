@@ -9,7 +9,6 @@ from support.candidates import found, rules
 from yolov5_lifecycle.collecting.triggers import Detail, Pace, Trigger, value_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
-from yolov5_lifecycle.detection.selection import ClassFilterError
 
 BOX = (20, 15, 40, 35)
 DOG_AT_07 = Selection(class_thresholds=((1, 0.7),))
@@ -90,7 +89,7 @@ def test_a_tracker_keeps_its_lower_threshold() -> None:
 
 
 def test_a_class_that_the_model_does_not_have_is_refused() -> None:
-    with pytest.raises(ClassFilterError, match="bird"):
+    with pytest.raises(ValueError, match="bird"):
         [*rules(reasons=("class: bird",)).reasons(found())]
 
 

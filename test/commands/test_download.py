@@ -5,31 +5,34 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import socket
 import subprocess
 import sys
 import zipfile
+from collections.abc import Callable
 from http.client import HTTPMessage
 from pathlib import Path
 from urllib.request import Request
 
 import pytest
 from support.colcon_workspace import REPOSITORY
-from support.fetched_weights import PATTERN, fetch_from, unfinished
 from support.file_server import (
+    PATTERN,
     Behaviour,
     FileServer,
     ServedRequest,
     chunked,
+    fetch_from,
     redirecting,
     sending,
     sending_ranges,
     stalling,
+    unfinished,
 )
 
 from yolov5_lifecycle.commands.download import DownloadError, SafeRedirects, download, fetch
 from yolov5_lifecycle.commands.fetch_weights import main
-from yolov5_lifecycle.models.model import WeightsError
 
 
 @pytest.fixture
@@ -44,15 +47,6 @@ def test_a_redirect_is_followed(folder: Path, checkpoint: bytes, redirects: int)
         target = last.address if redirects == 1 else second.address
         with FileServer(redirecting(target)) as first:
             assert fetch_from(first, folder).path.read_bytes() == checkpoint
-
-
-@pytest.mark.parametrize("target", ["file:///etc", "ftp://127.0.0.1:1"])
-def test_a_redirect_out_of_the_web_is_refused(folder: Path, target: str) -> None:
-    with (
-        FileServer(redirecting(target)) as server,
-        pytest.raises(DownloadError, match=rf"(?i)redirect.* '?{target}"),
-    ):
-        fetch_from(server, folder)
 
 
 def test_a_redirect_in_a_circle_ends(folder: Path) -> None:
@@ -112,54 +106,6 @@ def test_whatever_the_server_makes_of_a_range_the_file_is_right(
         assert fetch_from(server, folder).path.read_bytes() == checkpoint
 
 
-def test_a_gap_is_refused(folder: Path, checkpoint: bytes) -> None:
-    with (
-        FileServer(beginning_elsewhere(checkpoint, 50)) as server,
-        pytest.raises(DownloadError, match="requested bytes from 0 on, got them from 50 on"),
-    ):
-        fetch_from(server, folder)
-
-
-@pytest.mark.parametrize(
-    ("body", "told"),
-    [
-        pytest.param(b"<!DOCTYPE html><title>Log in</title>", "found an HTML page", id="page of a portal"),
-        pytest.param(b"", "the file is empty", id="nothing"),
-        pytest.param(b"\0" * 5000, "the file is all zeros", id="zeros"),
-        pytest.param(b"version https://git-lfs.github.com/spec/v1\n", "a Git LFS pointer", id="LFS"),
-        pytest.param(b"PK\x03\x04 and so on", "damaged or cut short", id="damaged"),
-    ],
-)
-def test_what_is_no_checkpoint_is_refused_and_not_kept(folder: Path, body: bytes, told: str) -> None:
-    with FileServer(sending(body)) as server, pytest.raises(WeightsError, match=told) as refused:
-        fetch_from(server, folder)
-    assert str(refused.value).startswith(server.address)
-    assert list(folder.glob("*.pt")) == []
-
-
-@pytest.mark.parametrize("difference", [-1000, -1], ids=str)
-def test_a_server_that_announces_too_little_is_not_believed(
-    folder: Path, checkpoint: bytes, difference: int
-) -> None:
-    with (
-        FileServer(sending(checkpoint, length=len(checkpoint) + difference)) as server,
-        pytest.raises(WeightsError, match="damaged or cut short"),
-    ):
-        fetch_from(server, folder)
-    assert list(folder.glob("*.pt")) == []
-
-
-def test_a_file_with_another_digest_is_refused_and_not_kept(
-    folder: Path, checkpoint: bytes, digest: str
-) -> None:
-    with (
-        FileServer(sending(checkpoint)) as server,
-        pytest.raises(WeightsError, match=f"its sha256 is {digest}, expected {'0' * 64}.* It was removed"),
-    ):
-        fetch_from(server, folder, sha256="0" * 64)
-    assert list(folder.glob("*.pt")) == []
-
-
 FETCHED_WITH_LITTLE_MEMORY = """
 import sys
 from pathlib import Path
@@ -201,54 +147,72 @@ def test_a_download_that_could_not_be_checked_for_lack_of_memory_is_kept_and_use
     assert not unfinished(folder).exists()
 
 
-@pytest.mark.parametrize("status", [403, 404, 500, 503])
-def test_an_error_of_the_server_is_reported_with_the_address_and_a_remedy(folder: Path, status: int) -> None:
-    page = b"<html>an error page</html>"
-    with FileServer(sending(page, status=status)) as server, pytest.raises(DownloadError) as refused:
-        fetch_from(server, folder)
-    assert f"{server.address}/releases/yolov5n.pt: the server answers {status}" in str(refused.value)
-    assert f"Or copy yolov5n.pt into {folder}" in str(refused.value)
-
-
 ESCAPES = "\x1b]0;owned\x07\x1b[2J" + "x" * 5000
 
 
 @pytest.mark.parametrize(
-    ("behaviour", "told"),
+    ("behave", "told"),
     [
         pytest.param(
-            sending(b"x", status=404, reason=ESCAPES), "the server answers 404 ?]0;owned?", id="reason"
-        ),
-        pytest.param(redirecting(f"ftp://{ESCAPES}"), "", id="redirect"),
-        pytest.param(redirecting(f"http://{ESCAPES}"), "", id="redirect to no host"),
-        pytest.param(redirecting("http://127.0.0.1:99999999"), "no answer", id="redirect to no port"),
-        pytest.param(
-            sending(b"x", status=206, Content_Range=f"bytes {'9' * 5000}-"), "the range of a part", id="range"
-        ),
-        pytest.param(sending(b"x", status=206), "the range of a part", id="part without a range"),
-        pytest.param(
-            sending(b"x", status=206, Content_Range=ESCAPES), "the range of a part", id="range of escapes"
+            lambda _: sending(b"<html>an error</html>", status=404),
+            "/releases/yolov5n.pt: the server answers 404.*Or copy yolov5n.pt into ",
+            id="error of the server",
         ),
         pytest.param(
-            sending(b"x", status=206, Content_Range="bytes \xb2-3/4"), "the range of a part", id="odd digit"
+            lambda _: sending(b"x", status=500, reason=ESCAPES),
+            r"the server answers 500 \?]0;owned\?",
+            id="reason of escapes",
         ),
-        pytest.param(chunked(b"no number\r\n"), "the connection broke", id="chunk of no size"),
-        pytest.param(chunked(b"f" * 5000 + b"\r\nhello"), "the connection broke", id="chunk of a huge size"),
-        pytest.param(sending(b"", status=200), "the file is empty", id="empty"),
+        pytest.param(
+            lambda _: redirecting("file:///etc"), "[Rr]edirect.* '?file:///etc", id="redirect to a file"
+        ),
+        pytest.param(lambda _: redirecting(f"ftp://{ESCAPES}"), "", id="redirect to escapes"),
+        pytest.param(lambda _: redirecting("http://127.0.0.1:99999999"), "no answer", id="no port"),
+        pytest.param(
+            lambda _: sending(b"x", status=206, Content_Range=f"bytes {'9' * 5000}-"),
+            "the range of a part",
+            id="huge range",
+        ),
+        pytest.param(lambda _: sending(b"x", status=206), "the range of a part", id="part without a range"),
+        pytest.param(
+            lambda _: sending(b"x", status=206, Content_Range="bytes \xb2-3/4"),
+            "the range of",
+            id="odd digit",
+        ),
+        pytest.param(
+            lambda body: beginning_elsewhere(body, 50), "bytes from 0 on, got them from 50 on", id="a gap"
+        ),
+        pytest.param(lambda _: chunked(b"no number\r\n"), "the connection broke", id="chunk of no size"),
+        pytest.param(lambda _: chunked(b"f" * 5000 + b"\r\nhello"), "the connection broke", id="huge chunk"),
+        pytest.param(
+            lambda _: sending(b"<!DOCTYPE html>Log in"), "found an HTML page", id="page of a portal"
+        ),
+        pytest.param(lambda _: sending(b""), "the file is empty", id="nothing"),
+        pytest.param(lambda _: sending(b"PK\x03\x04 and so on"), "damaged or cut short", id="damaged"),
+        pytest.param(
+            lambda body: sending(body, length=len(body) - 1),
+            "damaged or cut short",
+            id="announces too little",
+        ),
     ],
 )
-def test_a_malformed_answer_is_one_short_line_and_leaves_no_file(
-    folder: Path, capsys: pytest.CaptureFixture[str], behaviour: Behaviour, told: str
+def test_a_bad_answer_is_one_short_line_with_the_address_and_leaves_no_file(
+    folder: Path,
+    checkpoint: bytes,
+    capsys: pytest.CaptureFixture[str],
+    behave: Callable[[bytes], Behaviour],
+    told: str,
 ) -> None:
-    with FileServer(behaviour) as server:
+    with FileServer(behave(checkpoint)) as server:
         assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
     output, error = capsys.readouterr()
     _licence, line = error.splitlines()
     assert output == ""
-    assert told in line
+    assert re.search(told, line), line
+    assert line.startswith(f"fetch_weights: {server.address}")
     assert line.isprintable()
     assert len(line) < 1000
-    assert [path.stat().st_size for path in folder.glob("*.pt")] == []
+    assert list(folder.glob("*.pt")) == []
 
 
 def test_a_chunked_answer_is_read(folder: Path, checkpoint: bytes) -> None:
@@ -258,18 +222,11 @@ def test_a_chunked_answer_is_read(folder: Path, checkpoint: bytes) -> None:
         assert fetch_from(server, folder).path.read_bytes() == checkpoint
 
 
-def test_a_failed_download_leaves_no_empty_file(folder: Path) -> None:
-    with FileServer(sending(b"", status=503)) as server, pytest.raises(DownloadError):
-        fetch_from(server, folder)
-    assert list(folder.glob("*.pt")) == []
-
-
 @pytest.mark.parametrize(
     ("header", "begin"),
     [
         pytest.param(("Content-Length", str(10**12)), b"", id="announced"),
         pytest.param(("Content-Type", "text/plain"), b"", id="found out"),
-        pytest.param(("Transfer-Encoding", "chunked"), b"-1\r\n", id="a chunk of negative size"),
         pytest.param(("Transfer-Encoding", "chunked"), b"5\r\nhello\r\n-1\r\n", id="a negative chunk later"),
     ],
 )

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.selection import selection
@@ -31,35 +29,23 @@ def admitted(box_xyxy: tuple[float, ...], **settings: Any) -> bool:
     ("box_xyxy", "settings", "counts"),
     [
         pytest.param((10, 10, 20, 20), {}, True, id="no-filter"),
-        pytest.param((10, 10, 20, 20), {"regions": (LEFT,)}, True, id="inside"),
         pytest.param((310, 10, 320, 20), {"regions": (LEFT,)}, False, id="outside"),
         pytest.param((150, 10, 250, 20), {"regions": (LEFT,)}, True, id="centre-on-the-border"),
         pytest.param((152, 10, 250, 20), {"regions": (LEFT,)}, False, id="centre-just-outside"),
         pytest.param((310, 110, 320, 190), {"regions": (LEFT, LOWER)}, True, id="in-one-of-two"),
-        pytest.param((310, 10, 320, 20), {"regions": (LEFT, LOWER)}, False, id="in-none-of-two"),
-        pytest.param((10, 10, 20, 20), {"ignore_regions": (LEFT,)}, False, id="ignored"),
-        pytest.param((150, 10, 250, 20), {"ignore_regions": (LEFT,)}, False, id="on-an-ignored-border"),
         pytest.param((310, 10, 320, 20), {"ignore_regions": (LEFT,)}, True, id="not-ignored"),
         pytest.param(
             (350, 170, 360, 180), {"regions": (LOWER,), "ignore_regions": (CORNER,)}, False, id="both"
         ),
-        pytest.param((10, 20, 20, 130), {"regions": (LOWER,)}, False, id="centre-above"),
         pytest.param((10, 20, 20, 130), {"regions": (LOWER,), "region_anchor": "foot"}, True, id="foot-in"),
         pytest.param(
             (10, 20, 20, 130), {"ignore_regions": (LOWER,), "region_anchor": "foot"}, False, id="foot-ignored"
-        ),
-        pytest.param((150, 0, 250, 200), {"regions": (CORNER,), "region_anchor": "foot"}, False, id="foot-x"),
-        pytest.param(
-            (0, 0, 400, 200), {"regions": (WHOLE,), "region_anchor": "foot"}, True, id="whole-image"
         ),
         pytest.param((10, 10, 17, 12), {"min_box_size": 8.0}, False, id="smaller-than-pixels"),
         pytest.param((10, 10, 12, 18), {"min_box_size": 8.0}, True, id="as-large-as-pixels"),
         pytest.param((10, 10, 17, 12), {"min_box_size": 0.02}, False, id="smaller-than-fraction"),
         pytest.param((10, 10, 18, 12), {"min_box_size": 0.02}, True, id="as-large-as-fraction"),
         pytest.param((0, 0, 400, 50), {"max_box_size": 0.9}, False, id="as-wide-as-the-image"),
-        pytest.param((0, 0, 50, 200), {"max_box_size": 0.9}, True, id="as-high-as-the-image"),
-        pytest.param((0, 0, 400, 200), {"max_box_size": 1.0}, True, id="fraction-of-one"),
-        pytest.param((0, 0, 40, 20), {"min_box_size": 1.0}, False, id="minimum-of-the-whole-image"),
         pytest.param((0, 0, 101, 10), {"max_box_size": 100.0}, False, id="above-pixels"),
         pytest.param((0, 0, 100, 10), {"max_box_size": 100.0, "min_box_size": 0.25}, True, id="both-sizes"),
     ],
@@ -74,9 +60,7 @@ def test_a_box_counts_by_its_place_and_size(
     ("settings", "filters"),
     [
         pytest.param({}, False, id="nothing"),
-        pytest.param({"region_anchor": "foot"}, False, id="anchor-alone"),
         pytest.param({"regions": ["0,0 1,0 1,1"]}, True, id="regions"),
-        pytest.param({"ignore_regions": ["0,0 1,0 1,1"]}, True, id="ignored"),
         pytest.param({"min_box_size": 1.5}, True, id="minimum"),
         pytest.param({"max_box_size": 0.5}, True, id="maximum"),
     ],
@@ -85,23 +69,3 @@ def test_without_regions_and_sizes_no_box_is_looked_at(settings: dict[str, Any],
     box_filter = selection(validated(settings), ("cat",)).box_filter
     assert (box_filter is not None) is filters
     assert box_filter is None or box_filter.region_anchor == "center"
-
-
-corners = st.lists(st.tuples(*[st.integers(0, 150)] * 2, *[st.integers(1, 50)] * 2), max_size=6)
-
-
-@given(corners=corners)
-def test_each_box_counts_by_itself(corners: list[tuple[int, ...]]) -> None:
-    settings = {"regions": (LEFT, CORNER), "ignore_regions": (LOWER,), "min_box_size": 5.0}
-    boxes_xyxy = np.array(corners, np.float32).reshape(-1, 4)
-    boxes_xyxy[:, 2:] += boxes_xyxy[:, :2]
-    counts = BoxFilter(**settings).admits(boxes_xyxy, SIZE_HW)  # type: ignore[arg-type]
-    assert counts.tolist() == [admitted(tuple(box), **settings) for box in boxes_xyxy.tolist()]
-
-
-@pytest.mark.parametrize("size_hw", [(200, 400), (480, 640), (1081, 1921), (7, 5)], ids=str)
-def test_the_same_fractions_are_the_same_place_in_images_of_any_size(size_hw: tuple[int, int]) -> None:
-    scale = np.tile((size_hw[1], size_hw[0]), 2)
-    boxes = np.array([(0.1, 0.1, 0.3, 0.3), (0.6, 0.6, 0.8, 0.8), (0.4, 0.2, 0.6, 0.3)])
-    counts = BoxFilter(regions=(LEFT,)).admits((boxes * scale).astype(np.float32), size_hw)
-    assert counts.tolist() == [True, False, True]

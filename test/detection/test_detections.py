@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -35,22 +34,15 @@ def test_there_may_be_none() -> None:
 @pytest.mark.parametrize(
     ("column", "values", "reason"),
     [
-        pytest.param("boxes_xyxy", np.zeros((2, 4)), "float32", id="boxes of another dtype"),
         pytest.param("boxes_xyxy", np.zeros((1, 4), np.float32), r"\(2, 4\)", id="a box too few"),
         pytest.param("boxes_xyxy", np.zeros((2, 5), np.float32), r"\(2, 4\)", id="five columns"),
         pytest.param("boxes_xyxy", np.full((2, 4), np.nan, np.float32), "finite", id="NaN box"),
-        pytest.param("boxes_xyxy", np.full((2, 4), np.inf, np.float32), "finite", id="infinite box"),
         pytest.param("boxes_xyxy", np.array([[3, 2, 1, 4]] * 2, np.float32), "x1 <= x2", id="x exchanged"),
-        pytest.param("boxes_xyxy", np.array([[1, 4, 3, 2]] * 2, np.float32), "y1 <= y2", id="y exchanged"),
-        pytest.param("scores", np.zeros((2, 1), np.float32), r"\(2,\)", id="scores in a matrix"),
-        pytest.param("scores", np.array([0.5, 0.5]), "float32", id="scores of another dtype"),
         pytest.param("scores", np.array([1.5, 0.5], np.float32), r"\[0, 1\]", id="score above 1"),
-        pytest.param("scores", np.array([0.5, -0.5], np.float32), r"\[0, 1\]", id="score below 0"),
         pytest.param("scores", np.array([0.5, np.nan], np.float32), r"\[0, 1\]", id="NaN score"),
         pytest.param("scores", np.array([0.1, 0.2], np.float32), "best first", id="worse one first"),
         pytest.param("class_ids", np.array([0, 1], np.int32), "int64", id="class ids of another dtype"),
         pytest.param("class_ids", np.array([0, -1]), "negative", id="negative class id"),
-        pytest.param("class_ids", np.array([0, 1, 2]), r"\(2,\)", id="a class id too many"),
         pytest.param("track_ids", ("1",), "none or 2, found 1", id="a track id too few"),
     ],
 )
@@ -59,16 +51,10 @@ def test_a_bad_column_is_refused_by_name(column: str, values: object, reason: st
         Detections(**GOOD | {column: values})
 
 
-def test_a_column_cannot_be_exchanged() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        Detections(**GOOD).scores = np.empty(0, np.float32)  # type: ignore[misc]
-
-
 @pytest.mark.parametrize(
     ("rows", "class_ids"),
     [
         pytest.param(np.array([False, True]), [7], id="mask"),
-        pytest.param(np.array([0]), [0], id="indices"),
         pytest.param(slice(None), [0, 7], id="slice"),
         pytest.param(np.array([], np.int64), [], id="none"),
     ],

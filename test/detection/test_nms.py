@@ -16,7 +16,6 @@ from yolov5_lifecycle.detection.nms import (
     MAX_CANDIDATES,
     WORTH_TELLING,
     Selection,
-    cxcywh_to_xyxy,
     select,
     suppress,
 )
@@ -119,9 +118,7 @@ RIGHT = (90, 10, 4, 4)
     ("rows", "selection", "best_missed", "best_filtered"),
     [
         pytest.param([(*LEFT, 0.5, 1.0, 0.0)], {}, 0.0, 0.5, id="filtered"),
-        pytest.param([(*LEFT, 0.5, 1.0, 0.0), (*RIGHT, 0.2, 1.0, 0.0)], {}, 0.2, 0.5, id="both"),
         pytest.param([(*LEFT, 0.2, 1.0, 0.0)], {}, 0.0, 0.0, id="too low and filtered"),
-        pytest.param([(*LEFT, 0.5, 0, 1.0)], {"class_thresholds": ((1, 0.6),)}, 0.0, 0.0, id="of its class"),
         pytest.param([(*RIGHT, 0.5, 0, 1.0)], {"class_thresholds": ((1, 0.6),)}, 0.5, 0.0, id="missed"),
         pytest.param([(*LEFT, 0.5, 1.0, 0.0), (*RIGHT, 0.4, 1.0, 0.0)], {}, 0.0, 0.5, id="found"),
     ],
@@ -146,13 +143,8 @@ def test_many_boxes_that_do_not_count_leave_place_for_those_that_do() -> None:
     [
         pytest.param({}, 0.25, id="usual"),
         pytest.param({"class_thresholds": ((1, 0.01),)}, 0.01, id="lower"),
-        pytest.param({"class_thresholds": ((1, 0.6),)}, 0.25, id="higher"),
         pytest.param({"class_thresholds": ((1, 0.6),), "classes": frozenset({1})}, 0.6, id="the only class"),
-        pytest.param(
-            {"class_thresholds": ((1, 0.6),), "classes": frozenset({0, 1})}, 0.25, id="of two classes"
-        ),
         pytest.param({"class_thresholds": ((1, 0.01),), "classes": frozenset({0})}, 0.25, id="not wanted"),
-        pytest.param({"classes": frozenset()}, 0.25, id="no class"),
         pytest.param({"extra_threshold": 0.1}, 0.1, id="tracked"),
     ],
 )
@@ -174,28 +166,6 @@ def test_what_only_a_tracker_wants_replaces_nothing_that_is_admitted() -> None:
     assert both.class_ids.tolist() == [0, 1]  # best first
 
 
-@pytest.mark.parametrize(
-    ("row", "selection", "best_missed"),
-    [
-        pytest.param((0.5, 0.25, 0.75), {"confidence_threshold": 0.4}, 0.375, id="too low"),
-        pytest.param((0.5, 0.25, 0.75), {"confidence_threshold": 0.3}, 0.0, id="found"),
-        pytest.param((0.5, 0.25, 0.75), {"classes": frozenset({0})}, 0.0, id="another class"),
-        pytest.param((0.0, 1.0, 0.0), {}, 0.0, id="nothing at all"),
-    ],
-)
-def test_when_nothing_is_found_the_best_score_is_reported(
-    row: Row, selection: dict[str, Any], best_missed: float
-) -> None:
-    assert select(raw_rows((10, 10, 4, 4, *row)), Selection(**selection)).best_missed == best_missed
-
-
-def test_the_best_score_of_many_rows_is_reported() -> None:
-    raw = np.random.default_rng(3).uniform(0, 0.4, (5000, 7)).astype(np.float32)
-    raw[1234, 4:6] = 0.45
-    best_missed = select(raw, Selection(confidence_threshold=0.5)).best_missed
-    assert best_missed == pytest.approx((raw[:, 4] * raw[:, 5:].max(axis=1)).max())
-
-
 def test_only_the_best_candidates_are_compared_with_the_regions() -> None:
     compared: list[int] = []
 
@@ -209,82 +179,10 @@ def test_only_the_best_candidates_are_compared_with_the_regions() -> None:
     assert max(compared) == MAX_CANDIDATES
 
 
-def test_corners_are_half_the_size_around_the_centre() -> None:
-    corners = cxcywh_to_xyxy(np.array([[10, 20, 4, 6], [0, 0, 1, 3]], np.float32))
-    np.testing.assert_array_equal(corners, [[8, 17, 12, 23], [-0.5, -1.5, 0.5, 1.5]])
-    assert corners.dtype == np.float32
-
-
-def test_no_predictions_give_no_detections() -> None:
-    assert found(raw_rows()) == []
-
-
-def test_the_score_is_objectness_times_the_best_class() -> None:
-    assert found(raw_rows((10, 10, 4, 4, 0.5, 0.25, 0.75))) == [((8, 8, 12, 12), 0.375, 1)]
-
-
-@pytest.mark.parametrize(
-    ("row", "threshold", "count"),
-    [
-        pytest.param((0.5, 1.0, 0.0), 0.5, 0, id="objectness at the threshold"),
-        pytest.param((0.51, 1.0, 0.0), 0.5, 1, id="both above"),
-        pytest.param((0.9, 0.5, 0.0), 0.5, 0, id="only objectness above"),
-        pytest.param((1.0, 0.0, 0.0), 0.0, 0, id="no class at all"),
-        pytest.param((1.0, 1.0, 1.0), 1.0, 0, id="nothing is above 1"),
-    ],
-)
-def test_the_threshold_must_be_exceeded(row: Row, threshold: float, count: int) -> None:
-    assert len(found(raw_rows((10, 10, 4, 4, *row)), confidence_threshold=threshold)) == count
-
-
-# Two boxes 10 x 10 that share 6 x 10: IoU 60 / 140 = 0.43.
-OVERLAPPING = ((10, 10, 10, 10, 0.9, 1.0, 0.0), (14, 10, 10, 10, 0.8, 1.0, 0.0))
-
-
-@pytest.mark.parametrize(("iou_threshold", "count"), [(0.42, 1), (0.44, 2)])
-def test_a_worse_box_goes_when_it_overlaps_by_more_than_the_threshold(
-    iou_threshold: float, count: int
-) -> None:
-    assert len(found(raw_rows(*OVERLAPPING), iou_threshold=iou_threshold)) == count
-
-
-def test_a_box_that_went_suppresses_nothing() -> None:
-    third = (18, 10, 10, 10, 0.7, 1.0, 0.0)  # overlaps the second only
-    boxes = [box for box, _, _ in found(raw_rows(*OVERLAPPING, third), iou_threshold=0.3)]
-    assert boxes == [(5, 5, 15, 15), (13, 5, 23, 15)]
-
-
-@pytest.mark.parametrize(("agnostic_nms", "class_ids"), [(False, [0, 1]), (True, [0])])
-def test_boxes_of_two_classes_suppress_each_other_only_when_agnostic(
-    agnostic_nms: bool, class_ids: list[int]
-) -> None:
-    raw = raw_rows((10, 10, 10, 10, 0.9, 1.0, 0.0), (10, 10, 10, 10, 0.8, 0.0, 1.0))
-    assert [class_id for _, _, class_id in found(raw, agnostic_nms=agnostic_nms)] == class_ids
-
-
 @pytest.mark.parametrize("size", [(100, 4), (4, 100)], ids=["wide", "high"])
 def test_boxes_of_many_classes_stay_apart_whatever_their_shape(size: Row) -> None:
     raw = raw_rows(*[(0, 0, *size, 0.9, *np.eye(50)[class_id]) for class_id in range(50)], classes=50)
     assert len(found(raw, iou_threshold=0.0)) == 50
-
-
-def test_a_better_box_of_an_unwanted_class_suppresses_nothing() -> None:
-    raw = raw_rows((10, 10, 10, 10, 0.9, 1.0, 0.0), (10, 10, 10, 10, 0.8, 0.0, 1.0))
-    kept = found(raw, classes=frozenset({1}), agnostic_nms=True)
-    assert [class_id for _, _, class_id in kept] == [1]
-
-
-def test_of_equal_boxes_with_equal_scores_the_first_row_stays() -> None:
-    raw = raw_rows(
-        (10, 10, 4, 4, 0.5, 1.0, 0.0), (10, 10, 4, 4, 1.0, 0.5, 0.0), (50, 50, 4, 4, 0.5, 1.0, 0.0)
-    )
-    assert [box for box, _, _ in found(raw)] == [(8, 8, 12, 12), (48, 48, 52, 52)]
-
-
-def test_the_best_are_kept_when_there_are_too_many() -> None:
-    raw = raw_rows(*[(20 * i, 0, 10, 10, 0.3 + i / 100, 1.0, 0.0) for i in range(50)])
-    detections = select(raw, Selection(max_detections=3))
-    np.testing.assert_allclose(detections.scores, [0.79, 0.78, 0.77], rtol=1e-6)
 
 
 def test_only_the_best_candidates_enter_the_suppression() -> None:
@@ -345,8 +243,3 @@ def test_a_box_that_is_not_finite_is_refused(column: int, value: float) -> None:
     raw[0, column] = value
     with pytest.raises(ValueError, match="finite"):
         select(raw, Selection())
-
-
-def test_a_score_that_is_infinite_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"scores must be in \[0, 1\], found inf"):
-        select(raw_rows((10, 10, 4, 4, 0.9, np.inf, 0.5)), Selection())

@@ -78,14 +78,3 @@ def test_a_model_for_which_the_memory_does_not_suffice_is_refused(
     monkeypatch.setattr(models_cost, "available_bytes", lambda: 1_000_000)
     with pytest.raises(ValueError, match=r"^Image size 64: the model needs .* but only 1 MB are available"):
         prepare_model(tiny, [(64, 64)])
-
-
-def test_only_a_model_that_segments_reports_masks(tiny: Settings, tmp_path: Path) -> None:
-    path = tmp_path / "segmentation.safetensors"
-    write_safetensors(random_model(0, SMALL_FAMILIES["segmentation"]), path)
-    model = prepare_model(tiny.model_copy(update={"weights": str(path)}), [(64, 64)])
-    assert model.detector.segments
-    assert model.facts["masks"] == "8 coefficients"
-    detection_model = prepare_model(tiny, [(64, 64)])
-    assert not detection_model.detector.segments
-    assert "masks" not in detection_model.facts

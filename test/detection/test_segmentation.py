@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.random_model import CLASS_NAMES, TINY_SEGMENT, random_model
+from support.random_model import CLASS_NAMES
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.runtimes.runtime import InferenceError
@@ -83,7 +81,6 @@ def test_the_coefficients_are_no_classes() -> None:
         pytest.param((0.9, 0.8), WITH_MASKS, 1, id="once for all detections"),
         pytest.param((0.9,), Selection(), 0, id="not asked for"),
         pytest.param((0.1,), WITH_MASKS, 0, id="nothing detected"),
-        pytest.param((), WITH_MASKS, 0, id="nothing predicted"),
     ],
 )
 def test_prototypes_are_computed_where_they_are_needed(
@@ -113,31 +110,3 @@ def test_prototypes_that_make_no_masks_are_an_error(prototypes: NDArray[np.float
     with pytest.raises(InferenceError, match="Expected 2 prototypes of masks"):
         detector.detect(IMAGE, WITH_MASKS)
     assert len(detector.detect(IMAGE, Selection())) == 1
-
-
-def test_predictions_without_coefficients_are_an_error() -> None:
-    detector, runtime = detector_of()
-    runtime.run = lambda: np.ones((1, 5 + len(CLASS_NAMES)), np.float32)
-    with pytest.raises(InferenceError, match=r"shape \(N, 10\) for 3 classes"):
-        detector.detect(IMAGE, WITH_MASKS)
-
-
-def test_the_warm_up_includes_prototypes() -> None:
-    prototypes = CountedPrototypes()
-    detector, _ = detector_of(prototypes=prototypes)
-    detector.warm_up([SIZE_HW])
-    assert prototypes.count == 2
-
-
-@pytest.mark.long
-def test_a_loaded_model_that_segments_has_masks_and_the_detections_without_them_are_the_same() -> None:
-    detector = load_detector(random_model(1, TINY_SEGMENT), image_size=96)
-    image = ColourImage(np.random.default_rng(2).integers(0, 256, (*SIZE_HW, 3), np.uint8), "bgr")
-    selection = Selection(confidence_threshold=0.01)
-    plain = detector.detect(image, selection)
-    masked = detector.detect(image, replace(selection, with_masks=True))
-    assert len(plain) > 0
-    np.testing.assert_array_equal(masked.boxes_xyxy, plain.boxes_xyxy)
-    labels = masked.label_image()
-    assert labels is not None
-    assert 0 < labels.max() <= len(masked)

@@ -1,4 +1,4 @@
-"""The embedded model finds circles, squares, triangles and stars, in the same steps as the node."""
+"""The embedded models find circles, squares, triangles and stars, and their pixels, as the node does."""
 
 from __future__ import annotations
 
@@ -15,30 +15,39 @@ from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 
 WEIGHTS = REPOSITORY / "weights"
-PATH = WEIGHTS / "shapes.safetensors"
+SIZES = [
+    pytest.param((480, 640), 640, id="640x480 at 640"),
+    pytest.param((240, 320), 320, id="320x240 at 320"),
+]
 
 
 @pytest.fixture(scope="module")
-def weights_file() -> WeightsFile:
-    return load_weights(PATH)
+def detecting() -> WeightsFile:
+    return load_weights(WEIGHTS / "shapes.safetensors")
 
 
-def _detector(weights_file: WeightsFile, image_size: int) -> Detector:
-    return load_detector(weights_file.model, device="cpu", image_size=image_size)
+@pytest.fixture(scope="module")
+def segmenting() -> WeightsFile:
+    return load_weights(WEIGHTS / "shapes-seg.safetensors")
 
 
-def test_the_file_is_small_and_knows_the_classes_of_the_scene(weights_file: WeightsFile) -> None:
-    assert PATH.stat().st_size < 1_500_000
-    assert weights_file.model.class_names == CLASS_NAMES
+def detector_of(file: WeightsFile, image_size: int = 320, runtime: str = "auto") -> Detector:
+    return load_detector(file.model, device="cpu", image_size=image_size, runtime=runtime)
 
 
-def test_the_model_card_describes_this_file(weights_file: WeightsFile) -> None:
-    assert weights_file.sha256 in (WEIGHTS / "README.md").read_text()
+def test_the_files_are_small_know_the_classes_of_the_scene_and_have_their_model_card(
+    detecting: WeightsFile, segmenting: WeightsFile
+) -> None:
+    for file in (detecting, segmenting):
+        assert file.path.stat().st_size < 1_500_000
+        assert file.model.class_names == CLASS_NAMES
+        assert file.sha256 in (WEIGHTS / "README.md").read_text()
+    assert segmenting.model.architecture.mask_coefficients == 32
 
 
 @pytest.mark.long
-def test_unseen_stills_are_detected_with_few_errors(weights_file: WeightsFile) -> None:
-    result = evaluate(_detector(weights_file, 320), stills(UNSEEN_SEED, IMAGES, (256, 320)))
+def test_unseen_stills_are_detected_with_few_errors(detecting: WeightsFile) -> None:
+    result = evaluate(detector_of(detecting), stills(UNSEEN_SEED, IMAGES, (256, 320)))
     assert len(result.scores) + result.missed > 2 * IMAGES
     assert set(result.class_ids) == set(range(len(CLASS_NAMES)))
     assert result.precision >= 0.95
@@ -46,33 +55,52 @@ def test_unseen_stills_are_detected_with_few_errors(weights_file: WeightsFile) -
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("size_hw", "image_size"),
-    [
-        pytest.param((480, 640), 640, id="640x480 at 640", marks=pytest.mark.long),
-        pytest.param((480, 640), 320, id="640x480 at 320"),
-        pytest.param((240, 320), 320, id="320x240 at 320"),
-    ],
-)
+@pytest.mark.parametrize(("size_hw", "image_size"), SIZES)
 def test_moving_shapes_are_found_where_they_are(
-    weights_file: WeightsFile, size_hw: tuple[int, int], image_size: int
+    detecting: WeightsFile, size_hw: tuple[int, int], image_size: int
 ) -> None:
-    result = evaluate(_detector(weights_file, image_size), moving(UNSEEN_SEED, 100, size_hw))
+    result = evaluate(detector_of(detecting, image_size), moving(UNSEEN_SEED, 100, size_hw))
     circles = result.scores[result.class_ids == CLASS_NAMES.index("circle")]
     assert result.recall >= 0.97
     assert result.precision >= 0.93
     assert (circles > 0.6).mean() >= 0.95
 
 
-@pytest.mark.parametrize("level", [0, 114, 255])
-def test_an_empty_image_has_no_shapes(weights_file: WeightsFile, level: int) -> None:
-    empty = ColourImage(np.full((480, 640, 3), level, np.uint8), "rgb")
-    assert len(_detector(weights_file, 320).detect(empty, Selection())) == 0
+@pytest.mark.long
+@pytest.mark.parametrize(("size_hw", "image_size"), SIZES)
+def test_masks_of_moving_shapes_cover_them(
+    segmenting: WeightsFile, size_hw: tuple[int, int], image_size: int
+) -> None:
+    result = evaluate(detector_of(segmenting, image_size), moving(UNSEEN_SEED, 60, size_hw))
+    assert set(result.class_ids) == set(range(len(CLASS_NAMES)))
+    assert len(result.mask_ious) == len(result.scores)
+    assert result.mask_ious.mean() >= 0.85
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("image_size", [320, 640])
+def test_both_models_have_the_same_detections(
+    segmenting: WeightsFile, detecting: WeightsFile, image_size: int
+) -> None:
+    detectors = [detector_of(file, image_size, "torch") for file in (segmenting, detecting)]
+    for seed in range(3):
+        image = ColourImage(Scene(UNSEEN_SEED + seed, (480, 640)).frame(0)[0], "rgb")
+        segmented, detected = (detector.detect(image, Selection()) for detector in detectors)
+        np.testing.assert_array_equal(segmented.class_ids, detected.class_ids)
+        np.testing.assert_allclose(segmented.scores, detected.scores, atol=1e-4)
+        np.testing.assert_allclose(segmented.boxes_xyxy, detected.boxes_xyxy, atol=0.01)
+
+
+def test_an_empty_image_has_no_shapes(detecting: WeightsFile) -> None:
+    detector = detector_of(detecting, runtime="torch")
+    for level in (0, 114, 255):
+        empty = ColourImage(np.full((480, 640, 3), level, np.uint8), "rgb")
+        assert len(detector.detect(empty, Selection())) == 0
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_every_class_is_found_in_either_order_of_colours(weights_file: WeightsFile, order: Order) -> None:
+def test_every_class_is_found_in_either_order_of_colours(detecting: WeightsFile, order: Order) -> None:
     pixels, _ = Scene(UNSEEN_SEED, (480, 640)).frame(0)
     image = ColourImage(pixels if order == "rgb" else pixels[..., ::-1].copy(), order)
-    found = _detector(weights_file, 320).detect(image, Selection())
+    found = detector_of(detecting, runtime="torch").detect(image, Selection())
     assert set(found.class_ids) == set(range(len(CLASS_NAMES)))

@@ -48,11 +48,6 @@ def test_a_png_gives_its_colours_by_their_higher_bits(
     np.testing.assert_array_equal(decode_compressed(file(".png", values)).pixels, expected)
 
 
-def test_a_grey_jpeg_has_three_channels() -> None:
-    grey = file(".jpg", np.full((8, 8), 77, np.uint8))
-    np.testing.assert_array_equal(decode_compressed(grey).pixels, np.full((8, 8, 3), 77))
-
-
 GREY = smooth_bgr(40, 60)[..., 2]
 FILES = {
     "colour jpeg": smooth_file(".jpg"),
@@ -75,28 +70,15 @@ NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 
         *((text, "colour jpeg, colour png, grey jpeg, deep png", "bgr") for text in ("", "x" * 10_000, ";")),
         *((text, "colour jpeg, grey jpeg", "bgr") for text in ("jpeg", "jpg", "JPEG", "mjpeg", "rgb8; jpeg")),
         ("png", "colour png, deep colour png, grey png, deep png", "bgr"),
-        ("640x480", "colour jpeg", "bgr"),
         ("rgb8; jpeg compressed bgr8", "colour jpeg", "bgr"),
         ("bgr8; jpeg compressed bgr8", "colour jpeg", "bgr"),
-        ("rgba8; jpeg compressed bgr8", "colour jpeg", "bgr"),
-        ("rgb16; jpeg compressed bgr8", "colour jpeg", "bgr"),
-        ("nv21; jpeg compressed bgr8", "colour jpeg", "bgr"),
         ("bayer_rggb8; jpeg compressed bgr8", "colour jpeg", "bgr"),
-        ("rgb8; jpeg compressed ", "colour jpeg", "bgr"),
         ("rgb8; jpeg compressed rgb8", "colour jpeg", "rgb"),
-        ("jpeg compressed rgb8", "colour jpeg", "rgb"),
         ("bgra8; png compressed bgr8", "colour png", "bgr"),
-        ("bgr16; png compressed bgr16", "deep colour png", "bgr"),
         ("rgb16; png compressed rgb16", "deep colour png", "rgb"),
         ("8UC3; png compressed ", "colour png", "bgr"),
-        ("8UC1; png compressed ", "grey png", "bgr"),
         ("mono8; jpeg compressed mono8", "grey jpeg", "bgr"),
-        ("mono8; jpeg compressed ", "grey jpeg", "bgr"),
-        ("mono8; png compressed ", "grey png", "bgr"),
-        ("mono16; jpeg compressed mono8", "grey jpeg", "bgr"),
-        ("yuv422; jpeg compressed mono8", "grey jpeg", "bgr"),
         ("bayer_rggb8; jpeg compressed mono8", "grey jpeg", "bgr"),
-        ("bayer_rggb16; jpeg compressed mono8", "grey jpeg", "bgr"),
     ],
 )
 def test_a_file_of_viewable_pixels_gives_its_own_colours(format_text: str, files: str, order: Order) -> None:
@@ -113,10 +95,7 @@ def test_a_file_of_viewable_pixels_gives_its_own_colours(format_text: str, files
     [
         ("bayer_rggb8; jpeg compressed bayer_rggb8", "grey jpeg", "bayer_rggb8"),
         ("bayer_gbrg8; jpeg compressed ", "grey jpeg", "bayer_gbrg8"),
-        ("bayer_grbg8; png compressed ", "grey png", "bayer_grbg8"),
-        ("bayer_bggr8; png compressed bayer_bggr8", "grey png", "bayer_bggr8"),
         ("bayer_bggr8", "grey jpeg", "bayer_bggr8"),
-        ("mono16; png compressed ", "deep png", "mono16"),
         ("mono16; png compressed mono16", "deep png", "mono16"),
         ("16UC1; png compressed ", "deep png", "16UC1"),
     ],
@@ -142,20 +121,14 @@ def test_a_file_of_values_gives_the_image_of_the_raw_image(
     ("format_text", "name", "reason"),
     [
         ("mono16; jpeg compressed ", "grey jpeg", CLIPPED.format("mono16")),
-        ("16UC1; jpeg compressed ", "grey jpeg", CLIPPED.format("16UC1")),
         ("16UC1; png compressed ", "grey png", CLIPPED.format("16UC1")),
         ("16UC1; jpeg compressed mono8", "nothing", "found 0 bytes that begin with nothing. Set .* to png"),
         ("bayer_rggb8; jpeg compressed bayer_rggb8", "colour jpeg", "8 bits for bayer_rggb8, found colours"),
-        ("bayer_rggb8; png compressed ", "colour png", "8 bits for bayer_rggb8, found colours"),
         ("bayer_rggb8; png compressed ", "deep png", "8 bits for bayer_rggb8, found 16 bits"),
         ("bayer_rggb16; png compressed ", "deep png", NOT_SUPPORTED.format("bayer_rggb16")),
-        ("16SC1; png compressed ", "grey png", NOT_SUPPORTED.format("16SC1")),
         ("32FC1; tiff compressed ", "tiff", "Expected a JPEG or PNG, found .* Set .* to png"),
-        ("mono8; tiff compressed ", "tiff", "Expected a JPEG or PNG, found .* Set .* to png"),
-        ("16UC1; compressedDepth", "deep png", NO_DEPTH),
         ("16UC1; compressedDepth png", "deep png", NO_DEPTH),
         ("16UC1; compressedDepth rvl", "nothing", NO_DEPTH),
-        ("32FC1; compressedDepth png", "deep png", NO_DEPTH),
     ],
 )
 def test_a_file_that_cannot_hold_what_its_format_says_is_refused_with_what_to_do(

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tools.shapes.random_shapes import random_scene
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, SMALLEST_SIDE_PX, Scene, Shape, Truth
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, SMALLEST_SIDE_PX, Scene, Shape, Truth, label_image
+from yolov5_lifecycle.sources.scene_depth import DepthFrame, SceneDepth
+from yolov5_lifecycle.spatial.depth_image import DepthImage
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of
+from yolov5_lifecycle.spatial.placement import Box3D, place
 
 SIZES_HW = [
     pytest.param((480, 640), id="vga"),
@@ -14,10 +21,6 @@ SIZES_HW = [
     pytest.param((320, 200), id="portrait"),
     pytest.param((SMALLEST_SIDE_PX, SMALLEST_SIDE_PX), id="smallest"),
 ]
-
-
-def _shape(class_name: str, *, angle: float = 0.3, radius: float = 30.0) -> Shape:
-    return Shape(CLASS_NAMES.index(class_name), (50.25, 47.5), radius, angle, (255, 255, 255))
 
 
 def _assert_within(truth: Truth, size_hw: tuple[int, int]) -> None:
@@ -28,15 +31,6 @@ def _assert_within(truth: Truth, size_hw: tuple[int, int]) -> None:
     assert (boxes <= (*size_hw[::-1], *size_hw[::-1])).all()
     assert (boxes[:, :2] < boxes[:, 2:]).all()
     assert np.isin(truth.class_ids, range(len(CLASS_NAMES))).all()
-
-
-@pytest.mark.parametrize("size_hw", SIZES_HW)
-@pytest.mark.parametrize("seed", range(5))
-def test_the_truth_of_a_still_lies_inside_the_image(seed: int, size_hw: tuple[int, int]) -> None:
-    pixels, truth = random_scene(np.random.default_rng(seed), size_hw)
-    assert pixels.shape == (*size_hw, 3)
-    assert pixels.dtype == np.uint8
-    _assert_within(truth, size_hw)
 
 
 @pytest.mark.parametrize("size_hw", SIZES_HW)
@@ -54,13 +48,6 @@ def test_a_moving_scene_always_shows_every_class(seed: int) -> None:
     assert set(truth.class_ids) == set(range(len(CLASS_NAMES)))
 
 
-def test_stills_show_every_class_and_sometimes_nothing() -> None:
-    rng = np.random.default_rng(0)
-    truths = [random_scene(rng, (128, 128))[1] for _ in range(100)]
-    assert set(np.concatenate([truth.class_ids for truth in truths])) == set(range(len(CLASS_NAMES)))
-    assert any(len(truth.class_ids) == 0 for truth in truths)
-
-
 def test_a_scene_is_the_same_wherever_it_is_made() -> None:
     pixels, truth = Scene(5, (240, 320)).frame(11)
     again = Scene(5, (240, 320))
@@ -69,35 +56,6 @@ def test_a_scene_is_the_same_wherever_it_is_made() -> None:
     np.testing.assert_array_equal(pixels, same_pixels)
     np.testing.assert_array_equal(truth.boxes_xyxy, same_truth.boxes_xyxy)
     np.testing.assert_array_equal(truth.class_ids, same_truth.class_ids)
-
-
-def test_other_seeds_give_other_scenes() -> None:
-    assert (Scene(5, (240, 320)).frame(0)[0] != Scene(6, (240, 320)).frame(0)[0]).mean() > 0.5
-
-
-def test_stills_of_the_same_generator_state_are_the_same() -> None:
-    pixels, truth = random_scene(np.random.default_rng(4), (240, 320))
-    same_pixels, same_truth = random_scene(np.random.default_rng(4), (240, 320))
-    np.testing.assert_array_equal(pixels, same_pixels)
-    np.testing.assert_array_equal(truth.boxes_xyxy, same_truth.boxes_xyxy)
-
-
-def test_a_frame_belongs_to_the_caller() -> None:
-    scene = Scene(5, (240, 320))
-    pixels, _ = scene.frame(0)
-    untouched = pixels.copy()
-    pixels[:] = 0
-    np.testing.assert_array_equal(scene.frame(0)[0], untouched)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_shapes_move_a_little_from_frame_to_frame_and_far_in_the_end(seed: int) -> None:
-    scene = Scene(seed, (480, 640))
-    boxes = np.stack([scene.frame(index)[1].boxes_xyxy for index in range(120)])
-    centres = (boxes[:, :, :2] + boxes[:, :, 2:]) / 2
-    steps = np.linalg.norm(np.diff(centres, axis=0), axis=2)
-    assert (steps < 12).all()
-    assert (np.ptp(centres, axis=0).max(axis=1) > 20).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -112,65 +70,11 @@ def test_moving_shapes_never_overlap(seed: int) -> None:
         np.testing.assert_array_equal(overlaps, np.eye(len(boxes), dtype=bool))
 
 
-@pytest.mark.parametrize("index", [0, 50])
-def test_only_what_is_in_the_boxes_moves(index: int) -> None:
-    scene = Scene(8, (240, 320))
-    pixels, truth = scene.frame(index)
-    later_pixels, later_truth = scene.frame(index + 40)
-    changed = (pixels != later_pixels).any(axis=2)
-    for x1, y1, x2, y2 in np.concatenate((truth.boxes_xyxy, later_truth.boxes_xyxy)).tolist():
-        changed[max(int(y1) - 3, 0) : int(y2) + 4, max(int(x1) - 3, 0) : int(x2) + 4] = False
-    assert not changed.any()
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.3, 2.0, 5.0])
-@pytest.mark.parametrize("class_name", CLASS_NAMES)
-def test_the_pixels_of_a_shape_fill_its_box(class_name: str, angle: float) -> None:
-    shape = _shape(class_name, angle=angle)
-    pixels = np.zeros((100, 100, 3), np.uint8)
-    shape.draw(pixels)
-    rows, columns = np.nonzero(pixels[..., 0] > 127)
-    drawn = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
-    outline = shape.outline()
-    np.testing.assert_allclose(drawn, (*outline.min(axis=0), *outline.max(axis=0)), atol=1.5)
-
-
-@pytest.mark.parametrize(
-    ("class_name", "area"),
-    [
-        pytest.param("circle", np.pi, id="circle"),
-        pytest.param("square", 2.0, id="square"),
-        pytest.param("triangle", 3 * np.sqrt(3) / 4, id="triangle"),
-        pytest.param("star", 10 * 0.5 * 0.42 * np.sin(np.pi / 5), id="star"),
-    ],
-)
-def test_a_shape_has_the_area_of_its_figure_and_of_its_smooth_edge(class_name: str, area: float) -> None:
-    pixels = np.zeros((100, 100, 3), np.uint8)
-    shape = _shape(class_name, radius=40)
-    shape.draw(pixels)
-    outline = shape.outline()
-    perimeter = np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1).sum()
-    drawn = (pixels[..., 0] / 255).sum()
-    assert 0 < drawn - area * 40**2 < 0.8 * perimeter
-
-
-def test_a_shape_across_the_edge_is_boxed_by_what_is_visible() -> None:
-    rng = np.random.default_rng(0)
-    size_hw = (128, 128)
-    boxes = np.concatenate([random_scene(rng, size_hw)[1].boxes_xyxy for _ in range(50)])
-    at_the_edge = (boxes == 0).any(axis=1) | (boxes == 128).any(axis=1)
-    assert at_the_edge.any()
-    sides = boxes[at_the_edge, 2:] - boxes[at_the_edge, :2]
-    assert (sides > 2).all()
-
-
 @pytest.mark.parametrize(
     "size_hw",
     [
         pytest.param((SMALLEST_SIDE_PX - 1, 640), id="low"),
         pytest.param((480, SMALLEST_SIDE_PX - 1), id="narrow"),
-        pytest.param((0, 0), id="empty"),
-        pytest.param((-480, 640), id="negative"),
     ],
 )
 def test_an_image_too_small_for_shapes_is_refused(size_hw: tuple[int, int]) -> None:
@@ -178,3 +82,127 @@ def test_an_image_too_small_for_shapes_is_refused(size_hw: tuple[int, int]) -> N
         Scene(0, size_hw)
     with pytest.raises(ValueError, match="at least 64 pixels"):
         random_scene(np.random.default_rng(0), size_hw)
+
+
+SIZE_HW = (48, 64)
+
+
+def shape_of(class_name: str, centre_xy: tuple[float, float], radius: float, angle: float = 0.3) -> Shape:
+    return Shape(CLASS_NAMES.index(class_name), centre_xy, radius, angle, (255, 255, 255))
+
+
+def labels_of(*shapes: Shape, size_hw: tuple[int, int] = SIZE_HW) -> NDArray[np.uint16]:
+    return label_image([shape.outline() for shape in shapes], size_hw)
+
+
+def _turns(outline: NDArray[np.float64], x: float, y: float) -> float:
+    """How often `outline` goes round a point."""
+    angles = np.arctan2(outline[:, 1] - y, outline[:, 0] - x)
+    steps = np.diff(angles, append=angles[0])
+    return float(np.sum((steps + math.pi) % (2 * math.pi) - math.pi) / (2 * math.pi))
+
+
+def _slowly(shapes: list[Shape], size_hw: tuple[int, int]) -> NDArray[np.uint16]:
+    labels = np.zeros(size_hw, np.uint16)
+    for row, column in np.ndindex(*size_hw):
+        for label, shape in enumerate(shapes, start=1):
+            if abs(_turns(shape.outline(), column + 0.5, row + 0.5)) > 0.5:
+                labels[row, column] = label
+    return labels
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "centre_xy",
+    [
+        pytest.param((30.25, 23.5), id="inside"),
+        pytest.param((1.0, 2.0), id="beyond the upper left corner"),
+        pytest.param((62.5, 47.0), id="beyond the lower right corner"),
+        pytest.param((-40.0, 20.0), id="outside"),
+    ],
+)
+@pytest.mark.parametrize("class_name", CLASS_NAMES)
+def test_the_pixels_of_a_shape_are_those_whose_centres_its_outline_encloses(
+    class_name: str, centre_xy: tuple[float, float]
+) -> None:
+    shape = shape_of(class_name, centre_xy, radius=17.3)
+    labels = labels_of(shape)
+    assert labels.dtype == np.uint16
+    np.testing.assert_array_equal(labels, _slowly([shape], SIZE_HW))
+
+
+def test_of_overlapping_shapes_the_later_one_is_visible() -> None:
+    below, above = shape_of("square", (25.0, 24.0), 15.0), shape_of("circle", (35.0, 24.0), 10.0)
+    labels = labels_of(below, above)
+    alone, covering = labels_of(below) > 0, labels_of(above) > 0
+    assert (alone & covering).any()
+    np.testing.assert_array_equal(labels == 2, covering)
+    np.testing.assert_array_equal(labels == 1, alone & ~covering)
+
+
+@pytest.mark.parametrize("class_name", CLASS_NAMES)
+def test_a_shape_has_the_area_of_its_outline(class_name: str) -> None:
+    shape = shape_of(class_name, (200.2, 200.7), radius=180.0)
+    x, y = shape.outline().T
+    area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
+    assert labels_of(shape, size_hw=(400, 400)).sum() == pytest.approx(area, rel=0.005)
+
+
+@pytest.mark.parametrize("class_name", CLASS_NAMES)
+def test_a_shape_is_drawn_where_its_pixels_are(class_name: str) -> None:
+    shape = shape_of(class_name, (50.25, 47.5), radius=30.0)
+    pixels = np.zeros((100, 100, 3), np.uint8)
+    shape.draw(pixels)
+    is_shape = labels_of(shape, size_hw=(100, 100)) > 0
+    assert (pixels[is_shape] > 127).all()
+    assert ((pixels[..., 0] > 127) & ~is_shape).sum() < 0.25 * is_shape.sum()
+
+
+class OneBehindTheOther(Scene):
+    """Two squares in the same place, the first one twice as large in the image."""
+
+    def shapes(self, index: int) -> list[Shape]:
+        del index
+        return [Shape(1, (60.0, 50.0), radius, 0.3, (255, 255, 255)) for radius in (40.0, 20.0)]
+
+
+def intrinsics(frame: DepthFrame) -> Intrinsics:
+    camera = frame.camera_info
+    return intrinsics_of(camera.camera_matrix.data, camera.projection_matrix.data, camera.size_hw)
+
+
+@pytest.mark.parametrize("size_hw", [(480, 640), (320, 200), (64, 64)], ids=str)
+@pytest.mark.parametrize("seed", range(4))
+def test_the_shapes_are_found_in_the_depth_image_where_they_are(seed: int, size_hw: tuple[int, int]) -> None:
+    scene = Scene(seed, size_hw)
+    space = SceneDepth(seed, scene)
+    errors = []
+    for index in (0, 50, 137):
+        boxes, frame = scene.frame(index)[1].boxes_xyxy, space.frame(index)
+        assert len(frame.centres_xyz_m) == len(frame.sizes_xyz_m) == len(boxes)
+        placed = place(boxes, size_hw, DepthImage(frame.depth_mm, 0.001), intrinsics(frame))
+        for box, centre in zip(placed, frame.centres_xyz_m, strict=True):
+            assert isinstance(box, Box3D)
+            errors.append(float(np.linalg.norm(box.centre_xyz_m - centre) / np.linalg.norm(centre)))
+    assert np.median(errors) < 0.01
+    assert max(errors) < 0.02
+
+
+def test_of_two_shapes_in_one_pixel_the_nearer_is_measured() -> None:
+    scene = OneBehindTheOther(0, (100, 120))
+    frame = SceneDepth(0, scene).frame(0)
+    nearest_m = frame.centres_xyz_m[:, 2].min()
+    assert np.ptp(frame.centres_xyz_m[:, 2]) > 1
+    assert frame.depth_mm[49:51, 59:61] / 1000 == pytest.approx(nearest_m, rel=0.05)
+
+
+def test_depth_is_the_same_wherever_it_is_made() -> None:
+    scene = Scene(5, (120, 160))
+    space = SceneDepth(5, scene)
+    frame = space.frame(11)
+    frame.depth_mm[:] = 0  # a frame belongs to the caller
+    frame.centres_xyz_m[:] = 0
+    again, same = space.frame(11), SceneDepth(5, Scene(5, (120, 160))).frame(11)
+    np.testing.assert_array_equal(again.depth_mm, same.depth_mm)
+    np.testing.assert_array_equal(again.centres_xyz_m, same.centres_xyz_m)
+    assert (again.depth_mm > 0).all()

@@ -76,30 +76,6 @@ def test_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(
     assert np.median(centre_errors(difficulty, shapes)) <= 0.02
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("difficulty", "shapes"),
-    [
-        pytest.param("sloped background", SOLID, id="solid"),
-        pytest.param("sloped background", THIN, id="thin"),
-        pytest.param("30 % holes", SOLID, id="solid, 30 % holes"),
-        pytest.param("30 % holes", THIN, id="thin, 30 % holes"),
-        pytest.param("half occluded", SOLID, id="solid, half occluded"),
-        pytest.param("on a floor", SOLID, id="solid, on a floor"),
-    ],
-)
-def test_95_of_100_centres_are_at_most_5_percent_of_the_range_away(
-    difficulty: str, shapes: tuple[Shape, ...]
-) -> None:
-    assert np.quantile(centre_errors(difficulty, shapes), 0.95) <= 0.05
-
-
-@pytest.mark.long
-def test_95_of_100_centres_of_all_scenes_together_are_at_most_5_percent_of_the_range_away() -> None:
-    errors = [centre_errors(name, shapes) for name in list(DIFFICULTIES)[:3] for shapes in (SOLID, THIN)]
-    assert np.quantile(np.concatenate(errors), 0.95) <= 0.05
-
-
 @cache
 def floor_errors(kind: Kind, *, is_ideal: bool) -> NDArray[np.float64]:
     """The same for things on a floor, seen from above."""
@@ -116,15 +92,6 @@ def test_on_a_floor_the_median_error_of_the_centre_is_at_most_2_percent_of_the_r
 @pytest.mark.long
 def test_as_measured_the_median_error_on_a_floor_is_at_most_2_percent_of_the_range() -> None:
     assert np.median([floor_errors(kind, is_ideal=False) for kind in KINDS]) <= 0.02
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("is_ideal", [True, False], ids=["ideal depth", "as measured"])
-def test_95_of_100_centres_of_solids_on_a_floor_are_at_most_5_percent_of_the_range_away(
-    is_ideal: bool,
-) -> None:
-    errors = [floor_errors(kind, is_ideal=is_ideal) for kind in KINDS[:3]]
-    assert np.quantile(errors, 0.95) <= 0.05
 
 
 def test_95_of_100_centres_of_solids_and_furniture_are_at_most_5_percent_of_the_range_away() -> None:
@@ -174,20 +141,6 @@ def test_an_object_that_fills_the_image_has_a_distance() -> None:
     assert found.centre_xyz_m == pytest.approx((0, 0, 1.5), abs=1e-6)
 
 
-def test_an_object_that_lies_on_a_wall_has_the_distance_of_the_wall() -> None:
-    (found,) = place(BOX, SIZE_HW, in_metres(board_before_wall(board_m=4.0)), CAMERA)
-    assert isinstance(found, Box3D)
-    assert found.centre_xyz_m[2] == pytest.approx(4.0)
-
-
-def test_boxes_of_equal_boards_side_by_side_have_their_distance() -> None:
-    depth_m = board_before_wall()
-    depth_m[80:140, 30:95] = depth_m[80:140, 185:250] = 2.0
-    (found,) = place(BOX, SIZE_HW, in_metres(depth_m), CAMERA)
-    assert isinstance(found, Box3D)
-    assert found.centre_xyz_m[2] == pytest.approx(2.0)
-
-
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0])
 def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_it(value: float) -> None:
     depth_m = board_before_wall(board_m=value)
@@ -198,21 +151,14 @@ def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_i
 @pytest.mark.parametrize(
     "box",
     [
-        pytest.param((50, 50, 50, 50), id="no size"),
         pytest.param((50, 50, 52, 51), id="two pixels"),
         pytest.param((-100, -100, 400, 400), id="beyond every edge"),
-        pytest.param((300, 100, 330, 150), id="a third outside"),
     ],
 )
 def test_an_unusual_box_has_the_distance_of_a_wall(box: tuple[float, ...]) -> None:
     (found,) = place(np.array([box], np.float32), SIZE_HW, in_metres(np.full(SIZE_HW, 3, np.float32)), CAMERA)
     assert isinstance(found, Box3D)
     assert found.centre_xyz_m[2] == pytest.approx(3.0)
-
-
-def test_a_box_outside_the_image_has_no_valid_depth() -> None:
-    box = np.array([[1e30, 1e30, 2e30, 2e30]], np.float32)
-    assert place(box, SIZE_HW, in_metres(board_before_wall()), CAMERA) == (Unplaced.NO_VALID_DEPTH,)
 
 
 OTHER_SIZE = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, (480, 640))
@@ -236,10 +182,6 @@ def test_every_detection_says_what_is_missing(
     assert place(np.repeat(BOX, count, axis=0), image_size_hw, depth, camera) == (reason,) * count
 
 
-def test_without_boxes_nothing_is_placed() -> None:
-    assert place(np.zeros((0, 4), np.float32), SIZE_HW, in_metres(board_before_wall()), CAMERA) == ()
-
-
 boxes = st.tuples(*[st.floats(-50, 400, width=32)] * 4).map(
     lambda ends: (min(ends[0], ends[2]), min(ends[1], ends[3]), max(ends[0], ends[2]), max(ends[1], ends[3]))
 )
@@ -253,76 +195,16 @@ def millimetres(seed: int) -> NDArray[np.uint16]:
     return np.rint(scene.depth_m * 1000).astype(np.uint16)
 
 
-def near(found: tuple[Placement, ...], other: tuple[Placement, ...], *, scale: float = 1.0) -> bool:
-    """Whether both have the same reasons, and the same boxes apart from `scale` and rounding."""
-    return len(found) == len(other) and all(
-        one is two
-        if isinstance(one, Unplaced) or isinstance(two, Unplaced)
-        else np.allclose(
-            np.array((one.centre_xyz_m, one.size_xyz_m)) * scale,
-            (two.centre_xyz_m, two.size_xyz_m),
-            rtol=1e-4,
-        )
-        for one, two in zip(found, other, strict=True)
-    )
-
-
-@pytest.mark.long
 @given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
-@settings(max_examples=25)
-def test_encoding_and_byte_order_change_nothing(seed: int, boxes_xyxy: Boxes) -> None:
-    values = millimetres(seed)
-    metres = values * np.float32(0.001)
-    sent = {
-        ("16UC1", False): values.astype("<u2"),
-        ("16UC1", True): values.astype(">u2"),
-        ("32FC1", False): metres.astype("<f4"),
-        ("32FC1", True): metres.astype(">f4"),
-    }
-    height, width = SIZE_HW
-    first, *others = (
-        place(
-            boxes_xyxy,
-            SIZE_HW,
-            decode_depth(
-                data.tobytes(),
-                encoding=encoding,
-                height=height,
-                width=width,
-                step=width * data.itemsize,
-                is_bigendian=is_bigendian,
-            ),
-            CAMERA,
-        )
-        for (encoding, is_bigendian), data in sent.items()
-    )
-    assert all(near(first, other) for other in others)
-
-
-@given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Boxes) -> None:
     depth = DepthImage(millimetres(seed), 0.001)
     alone = [place(box[None], SIZE_HW, depth, CAMERA) for box in boxes_xyxy]
     assert place(boxes_xyxy, SIZE_HW, depth, CAMERA) == tuple(found for (found,) in alone)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_mirrored_left_to_right_only_x_changes_its_sign(seed: int) -> None:
-    scene = random_depth_scene(np.random.default_rng(seed), "board", Difficulty(hole_share=0.3))
-    left, top, right, bottom = np.round(scene.box_xyxy).tolist()
-    box = np.array([[left + 0.25, top, right + 0.25, bottom]], np.float32)
-    mirrored_box = np.array([[319.75 - right, top, 319.75 - left, bottom]], np.float32)
-    (found,) = place(box, SIZE_HW, in_metres(scene.depth_m), CAMERA)
-    (mirrored,) = place(mirrored_box, SIZE_HW, in_metres(scene.depth_m[:, ::-1]), CAMERA)
-    assert isinstance(found, Box3D)
-    assert isinstance(mirrored, Box3D)
-    x, y, z = found.centre_xyz_m
-    assert mirrored.centre_xyz_m == pytest.approx((-x, y, z), rel=1e-3, abs=1e-3)
-
-
 @given(data=st.binary(min_size=0, max_size=64), boxes_xyxy=several_boxes)
-@settings(max_examples=50)
+@settings(max_examples=20)
 def test_any_values_and_boxes_give_finite_numbers_or_a_reason(data: bytes, boxes_xyxy: Boxes) -> None:
     buffer = np.resize(np.frombuffer(data or b"\0", np.uint8), 320 * 240 * 4)
     depth = decode_depth(buffer, encoding="32FC1", height=240, width=320, step=1280, is_bigendian=False)

@@ -32,12 +32,10 @@ def item(found: Stamped[str] | Unpaired) -> str:
 @pytest.mark.parametrize(
     ("received_ms", "colour_ms", "expected"),
     [
-        pytest.param([100], 100, "at 100", id="same stamp"),
         pytest.param([80], 100, "at 80", id="older by the slop"),
         pytest.param([120], 100, "at 120", id="newer by the slop"),
         pytest.param([90, 100, 110], 100, "at 100", id="nearest of three"),
         pytest.param([95, 105], 100, "at 105", id="newer of two equally near"),
-        pytest.param([100, 120, 140], 104, "at 100", id="detected late"),
     ],
 )
 def test_the_nearest_depth_image_within_the_slop_is_chosen(
@@ -59,12 +57,6 @@ def test_a_colour_image_without_a_depth_image_gets_the_reason(
     received_ms: list[int], reason: Unpaired
 ) -> None:
     assert pairing(*received_ms).pair(100 * MS) is reason
-
-
-def test_without_slop_only_the_same_stamp_pairs() -> None:
-    depths = pairing(100, slop_s=0.0)
-    assert item(depths.pair(100 * MS)) == "at 100"
-    assert depths.pair(100 * MS + 1) is Unpaired.LATE
 
 
 def test_only_the_newest_are_kept() -> None:
@@ -97,12 +89,6 @@ def test_time_that_jumps_back_drops_what_was_before(stamp_ms: int) -> None:
     depths = pairing(33, 66, 99, stamp_ms)
     assert item(depths.pair(stamp_ms * MS)) == f"at {stamp_ms}"
     assert isinstance(depths.pair(66 * MS), Unpaired)
-
-
-def test_what_is_cleared_is_missing() -> None:
-    depths = pairing(100)
-    depths.clear()
-    assert depths.pair(100 * MS) is Unpaired.MISSING
 
 
 @pytest.mark.parametrize("slop_s", [-0.1, math.nan, math.inf])

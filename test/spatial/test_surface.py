@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.box_samples import SIDE
-from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
+from yolov5_lifecycle.spatial.background import is_background
+from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, sampled
+from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.surface import surfaces_m
 
 NAN = np.nan
@@ -39,18 +40,13 @@ def extents(found: NDArray[np.float32]) -> tuple[float, float]:
     ("inside", "around", "expected"),
     [
         pytest.param(rows((20, NAN)), 2.0, (NAN, NAN), id="no measurement"),
-        pytest.param(rows((20, 2.0)), NAN, (2.0, 2.0), id="nothing around"),
         pytest.param(rows((20, 2.0)), 2.0, (2.0, 2.0), id="the same around"),
-        pytest.param(rows((9, 2.0), (11, NAN)), 2.0, (NAN, NAN), id="the same around, few measured"),
         pytest.param(rows((11, 2.0), (9, NAN)), 2.0, (2.0, 2.0), id="the same around, half measured"),
-        pytest.param(rows((1, 1.0), (19, NAN)), 2.0, (1.0, 1.0), id="just enough measured"),
         pytest.param(rows((6, 1.0), (14, 2.0)), NAN, (1.0, 1.0), id="the nearer of two"),
         pytest.param(rows((2, 1.0), (18, 2.0)), NAN, (2.0, 2.0), id="the nearer one is too small"),
-        pytest.param(rows((18, MIN_DEPTH_M), (2, NAN)), 2.0, (0.01, 0.01), id="as near as possible"),
         pytest.param(rows((12, 1.0), (8, 2.0)), 1.0, (2.0, 2.0), id="the nearer one goes on around"),
         pytest.param(rows((10, 1.0), (10, 3.0)), 3.0, (1.0, 1.0), id="the farther one goes on around"),
         pytest.param(rows((10, 1.0), (4, 1.1), (6, 3.0)), 3.0, (1.0, 1.1), id="a step"),
-        pytest.param(rows((14, 1.2), (1, 1.0), (5, 3.0)), 3.0, (1.2, 1.2), id="a little that is nearer"),
         pytest.param(rows((10, 1.0), (4, 1.3), (6, 3.0)), 3.0, (1.0, 1.3), id="a part farther behind"),
         pytest.param(rows((10, 1.0), (4, 1.8), (6, 3.0)), 3.0, (1.0, 1.0), id="too far behind"),
     ],
@@ -63,19 +59,6 @@ def test_a_surface_that_recedes_is_seen_to_its_far_end() -> None:
     receding = np.linspace(1.0, 2.0, SIDE)[:, None] * np.ones(SIDE)
     found = surface(receding, 4.0)
     np.testing.assert_allclose(found, receding, rtol=0.03)
-
-
-def test_a_surface_is_where_its_samples_are() -> None:
-    inside = np.full((SIDE, SIDE), 3.0)
-    inside[4:12, 6:9] = 1.0
-    np.testing.assert_array_equal(surface(inside, 3.0), np.where(inside == 1.0, 1.0, NAN))
-
-
-def test_samples_between_a_surface_and_the_background_are_left_out() -> None:
-    inside = np.full((SIDE, SIDE), 2.0)
-    inside[:, :10] = 1.0
-    inside[:, 10] = np.random.default_rng(1).uniform(1.05, 1.95, SIDE)
-    assert extents(surface(inside, 2.0)) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("every", [2, 3, 4])
@@ -98,3 +81,102 @@ def test_every_box_has_its_own_surface() -> None:
     near, far = surfaces_m(DepthImage(depth_m, 1.0), boxes)
     assert extents(near) == (1.0, 1.0)
     assert extents(far) == (2.0, 2.0)
+
+
+FLOOR_BOX = np.array([[60, 40, 100, 80]], np.float32)
+ROWS, COLUMNS = np.mgrid[0:120, 0:160]
+IN_FLOOR_BOX = (ROWS >= 40) & (ROWS < 80) & (COLUMNS >= 60) & (COLUMNS < 100)
+FLOOR: Depth = 120 / (ROWS + 20.0)
+WALL: Depth = 300 / (COLUMNS + 60.0)
+
+
+def background(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
+    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box)
+    return np.asarray(is_background(samples)[0])
+
+
+def measured(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
+    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box)
+    return np.asarray(~np.isnan(samples.metres[0]))
+
+
+@pytest.mark.parametrize(
+    "depth_m",
+    [
+        pytest.param(np.full((120, 160), 3.0), id="a wall the camera faces"),
+        pytest.param(FLOOR, id="a floor"),
+        pytest.param(WALL, id="a slanted wall"),
+        pytest.param(np.minimum(FLOOR, 1.5), id="a floor and a wall"),
+        pytest.param(np.minimum(FLOOR, 0.8 * WALL), id="a floor and a slanted wall"),
+    ],
+)
+def test_planes_around_an_empty_box_are_all_background(depth_m: Depth) -> None:
+    assert background(depth_m).mean() > 0.99
+
+
+def test_a_plane_is_found_in_noise_that_grows_with_the_square_of_the_depth() -> None:
+    noise = np.random.default_rng(3).normal(0, 0.004, FLOOR.shape)
+    assert background(FLOOR + noise * FLOOR**2).mean() > 0.97
+
+
+def test_an_object_on_a_floor_is_not_background() -> None:
+    board_m = np.where(IN_FLOOR_BOX, FLOOR[79, 0], FLOOR)
+    found = background(board_m)
+    assert inside(found[None]).mean() < 0.15  # its foot is as far away as the floor
+    assert found[IS_AROUND].all()
+
+
+def test_an_occluding_board_that_goes_on_beyond_the_box_is_background() -> None:
+    is_board = (ROWS >= 20) & (ROWS < 60) & (COLUMNS >= 30) & (COLUMNS < 130)
+    depth_m = np.where(is_board, 0.8, np.where(IN_FLOOR_BOX, 1.0, FLOOR))
+    assert inside(background(depth_m)[None])[0, :9].all()
+    assert not inside(background(depth_m)[None])[0, 11:18].any()
+
+
+@pytest.mark.parametrize("is_across", [False, True], ids=["beside it", "above and below it"])
+def test_objects_as_far_away_as_this_one_are_not_background(is_across: bool) -> None:
+    depth_m = np.full((120, 160), 5.0)
+    depth_m[40:80, 60:100] = 2.0
+    if is_across:
+        depth_m[5:35, 60:100] = depth_m[85:115, 60:100] = 2.0
+    else:
+        depth_m[40:80, 20:55] = depth_m[40:80, 105:140] = 2.0
+    assert not inside(background(depth_m)[None]).any()
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
+def test_what_is_not_measured_is_not_background(value: float) -> None:
+    is_hole = (ROWS + COLUMNS) % 3 == 0
+    depth_m = np.where(is_hole, value, FLOOR)
+    np.testing.assert_array_equal(background(depth_m), measured(depth_m))
+
+
+def test_random_depth_has_no_background_plane() -> None:
+    depth_m = np.random.default_rng(0).uniform(0.5, 8, (120, 160))
+    assert around(background(depth_m)[None]).mean() < 0.1
+
+
+def test_the_samples_lie_in_the_box_and_on_a_ring_around_it() -> None:
+    """Each pixel holds its own place: the column in whole metres, the row in 1/256."""
+    columns, rows = np.meshgrid(np.arange(1, 120), np.arange(1, 160) / 256)
+    depth = DepthImage((columns + rows).astype(np.float32)[:, :19], 1.0)
+    metres = sampled(depth, np.array([[4, 20, 14, 120]], np.float32)).metres
+    assert metres.shape == (1, GRID, GRID)
+    in_box, on_ring = inside(metres)[0], around(metres)[0]
+    assert in_box.shape == (SIDE, SIDE)
+    on_ring = on_ring[~np.isnan(on_ring)]
+    assert set(np.floor(in_box.ravel())) == set(range(5, 15))
+    np.testing.assert_allclose(sorted({*np.round(in_box.ravel() % 1 * 256)}), np.arange(20, 120, 5) + 3)
+    columns_around = np.floor(on_ring)
+    is_beside = (columns_around < 5) | (columns_around > 14)
+    rows_around = np.round(on_ring % 1 * 256)
+    assert {*columns_around[is_beside]} == {1, 2, 3, 17, 18, 19}
+    assert {*rows_around[~is_beside]} <= {*range(1, 10), *range(133, 150)}
+
+
+def test_the_samples_know_their_pixels() -> None:
+    values = np.arange(1, 1 + 60 * 80, dtype=np.float32).reshape(60, 80) / 10
+    samples = sampled(DepthImage(values, 1.0), np.array([[30, 20, 60, 40], [10, 12, 30, 44]], np.float32))
+    for box in range(2):
+        expected = values[samples.rows[box][:, None], samples.columns[box][None, :]]
+        np.testing.assert_array_equal(samples.metres[box], expected)

@@ -7,6 +7,10 @@ import re
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from yolov5_lifecycle.checkpoints.locate import WeightsFile
+from yolov5_lifecycle.commands.download import fetch
 
 Behaviour = Callable[["ServedRequest"], None]
 
@@ -122,3 +126,17 @@ def stalling(body: bytes, sent_bytes: int) -> Behaviour:
 def redirecting(target: str) -> Behaviour:
     """To the same path below `target`."""
     return lambda request: request.answer(b"", status=302, Location=target + request.path)
+
+
+PATTERN = "/releases/yolov5{size}.pt"
+
+
+def fetch_from(
+    server: FileServer, folder: Path, *, model: str = "n", sha256: str = "", stall_s: float = 20
+) -> WeightsFile:
+    """`fetch_weights n` from that server."""
+    return fetch(model, folder, url=server.address + PATTERN, sha256=sha256, stall_s=stall_s)
+
+
+def unfinished(folder: Path) -> Path:
+    return folder / "yolov5n.partial.pt"

@@ -30,9 +30,3 @@ def image(height: int, width: int, *, before: bytes = b"", after: bytes = b"") -
 def text_bomb(texts: int, mb: int = 7) -> bytes:
     """Chunks of compressed texts, a thousandth of the size that they have for libpng."""
     return chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(mb * 1_000_000))) * texts
-
-
-def animation(height: int, width: int) -> bytes:
-    """The chunks that make the pixels behind them the first of two frames of that size."""
-    control = struct.pack(">IIIIIHHBB", 0, width, height, 0, 0, 1, 1, 0, 0)
-    return chunk(b"acTL", struct.pack(">II", 2, 0)) + chunk(b"fcTL", control)

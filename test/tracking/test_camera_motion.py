@@ -42,7 +42,6 @@ def found(*images: ColourImage, boxes_xyxy: NDArray[np.float32] = NO_BOXES) -> l
     "matrix",
     [
         pytest.param(similarity(12, -7), id="shift"),
-        pytest.param(similarity(-60, 20), id="large shift"),
         pytest.param(similarity(degrees=4), id="roll"),
         pytest.param(similarity(3, 2, degrees=-2, zoom=1.05), id="drive"),
     ],
@@ -86,21 +85,11 @@ def test_what_is_in_a_box_is_not_followed() -> None:
     [
         pytest.param(np.full((480, 640, 3), 114, np.uint8), id="plain grey"),
         pytest.param(np.zeros((1, 1, 3), np.uint8), id="one pixel"),
-        pytest.param(np.zeros((1, MAX_SIDE_PX, 3), np.uint8), id="a row"),
         pytest.param(np.zeros((MAX_SIDE_PX, 2, 3), np.uint8), id="two columns"),
-        pytest.param(np.random.default_rng(0).integers(0, 255, (7, 9, 3), np.uint8), id="tiny"),
     ],
 )
 def test_an_image_without_anything_to_follow_has_no_motion(pixels: NDArray[np.uint8]) -> None:
     assert found(*[ColourImage(pixels, "rgb")] * 3) == [None] * 2
-
-
-def test_images_that_have_nothing_in_common_have_no_motion() -> None:
-    rng = np.random.default_rng(6)
-    assert (
-        found(*(ColourImage(rng.integers(0, 255, (480, 640, 3), np.uint8), "rgb") for _ in range(3)))
-        == [None] * 2
-    )
 
 
 def test_an_image_of_another_size_starts_afresh() -> None:
@@ -121,14 +110,6 @@ def test_boxes_that_are_no_places_are_ignored(value: float) -> None:
     boxes = np.full((3, 4), value, np.float32)
     with np.errstate(all="ignore"):
         found(moved_by(similarity()), moved_by(similarity(12, 0)), boxes_xyxy=boxes)
-
-
-def test_a_grey_image_is_read_as_it_is_sent() -> None:
-    greys = [cv2.cvtColor(moved_by(similarity(x, 0)).pixels, cv2.COLOR_BGR2GRAY) for x in (0, 16)]
-    images = [ColourImage(np.asarray(cv2.merge((grey,) * 3), np.uint8), "rgb") for grey in greys]
-    (camera,) = found(*images)
-    assert camera is not None
-    assert camera[0, 2] == pytest.approx(16, abs=1.5)
 
 
 def test_of_a_large_image_few_pixels_are_copied() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.tracking.common_motion import MIN_BOXES, CommonMotion, Correction
 from yolov5_lifecycle.tracking.motion import (
     ACCELERATION_DENSITY,
     SAME_ERROR_S,
@@ -92,34 +94,6 @@ def test_the_elementwise_filter_is_the_one_with_matrices(
         )
 
 
-@given(box=boxes, first_s=seconds, second_s=seconds)
-def test_two_steps_predict_what_one_of_their_length_does(box: Array, first_s: float, second_s: float) -> None:
-    motion = Motion.started(box, SURE)
-    for halves, whole in zip(
-        motion.predicted(first_s).predicted(second_s).arrays,
-        motion.predicted(first_s + second_s).arrays,
-        strict=True,
-    ):
-        np.testing.assert_allclose(halves, whole, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("rate_hz", [5.0, 10.0, 30.0])
-def test_the_velocity_is_learned_at_any_rate_with_jitter(rate_hz: float) -> None:
-    rng = np.random.default_rng(0)
-    start, velocity = np.array([[50.0, 60.0, 90.0, 140.0]]), np.array([[40.0, -25.0, 40.0, -25.0]])
-    motion, before_s = Motion.started(start, SURE), 0.0
-    for time_s in np.arange(1, 3 * rate_hz) / rate_hz:
-        now_s = time_s + rng.uniform(-0.3, 0.3) / rate_hz
-        motion = motion.predicted(now_s - before_s).corrected(
-            start + velocity * now_s, SURE, now_s - before_s
-        )
-        before_s = now_s
-    np.testing.assert_allclose(motion.velocity[0], (40, -25, 0, 0), atol=1.0)
-    np.testing.assert_allclose(
-        motion.predicted(0.5).boxes_xyxy, start + velocity * (before_s + 0.5), atol=1.5
-    )
-
-
 def test_a_box_that_shrinks_becomes_empty_and_not_inverted() -> None:
     motion = Motion.started(np.array([[0.0, 0.0, 100.0, 100.0]]), SURE)
     for side in (80.0, 60.0, 40.0):
@@ -141,11 +115,6 @@ def test_estimates_stay_finite(side: float, step_s: float, score: Array) -> None
     assert (motion.velocity_variance >= 0).all()
 
 
-def test_without_tracks_there_is_nothing_to_predict() -> None:
-    motion = Motion.started(np.zeros((0, 4)), np.zeros(0))
-    assert len(motion.predicted(0.1).corrected(np.zeros((0, 4)), np.zeros(0), 0.1)) == 0
-
-
 def test_a_camera_that_turns_turns_places_and_velocities() -> None:
     quarter = np.array(((0.0, -2, 30), (2, 0, 40)))  # and doubles all sizes
     motion = Motion.started(np.array([[0.0, 0.0, 10.0, 20.0]]), SURE).predicted(0.1)
@@ -160,21 +129,66 @@ def test_a_camera_that_turns_turns_places_and_velocities() -> None:
     np.testing.assert_allclose(seen.variance[0, :2], 4 * motion.variance[0, 1::-1])
 
 
-def test_a_low_score_moves_the_estimate_less_than_a_high_one() -> None:
-    box = np.array([[0.0, 0.0, 100.0, 100.0]])
-    motion = Motion.started(box, SURE).predicted(0.1)
-    moved = [
-        motion.corrected(box + 20, np.array([score]), 0.1).position[0, 0] - 50 for score in (0.9, 0.5, 0.2)
-    ]
-    assert 20 > moved[0] > moved[1] > moved[2] > 0
+Points = NDArray[np.float64]
+SIZE_PX = 60.0
+PLACES = np.array([(60, 60), (560, 80), (300, 240), (90, 400), (540, 420), (320, 60), (200, 330)], np.float64)
+NOISE = np.random.default_rng(0).normal(0, 2, (200, *PLACES.shape))
 
 
-def test_images_close_together_say_together_what_one_would() -> None:
-    box = np.array([[0.0, 0.0, 100.0, 100.0]])
-    variances = []
-    for count in (1, 4, 20):
-        motion = Motion.started(box, SURE).predicted(0.1)
-        for _ in range(count):
-            motion = motion.corrected(box, SURE, SAME_ERROR_S / count)
-        variances.append(motion.variance[0, 0])
-    assert variances == pytest.approx([variances[0]] * 3)
+def corrections(errors: Points, *, step_s: float = 0.1) -> list[Correction]:
+    """For images whose predictions are off by each of `errors` (m, n, 2)."""
+    common, given = CommonMotion(), []
+    for error in errors:
+        common.predict(step_s, SIZE_PX)
+        correction = common.correct(PLACES, PLACES + error, SIZE_PX)
+        assert correction is not None
+        given.append(correction)
+    return given
+
+
+def mapped(correction: Correction, places: Points = PLACES) -> Points:
+    return np.asarray(places @ correction.similarity[:, :2].T + correction.similarity[:, 2])
+
+
+def test_a_camera_that_jerks_again_and_again_is_followed() -> None:
+    errors = np.where(np.arange(40)[:, None, None] % 2, 15.0, -15.0) + NOISE[:40]
+    last = corrections(errors)[-1]
+    np.testing.assert_allclose(mapped(last), PLACES + 15, atol=4)
+
+
+def test_a_camera_that_stands_still_moves_no_track() -> None:
+    found = corrections(NOISE)
+    shifts = np.array([mapped(each) - PLACES for each in found])
+    assert np.abs(shifts).max() < 1.5
+    assert np.abs([each.velocity_xy for each in found]).max() < 0.1 * SIZE_PX
+
+
+@pytest.mark.parametrize(("degrees", "zoom"), [(4, 1.0), (-3, 1.0), (0, 1.06), (2, 0.96)])
+def test_a_turn_and_a_zoom_are_followed_at_once(degrees: float, zoom: float) -> None:
+    cos, sin = zoom * math.cos(math.radians(degrees)), zoom * math.sin(math.radians(degrees))
+    middle = PLACES.mean(axis=0)
+    seen = (PLACES - middle) @ np.array(((cos, sin), (-sin, cos))) + middle
+    (correction,) = corrections((seen - PLACES)[None])
+    np.testing.assert_allclose(mapped(correction), seen, atol=4)
+
+
+def test_fewer_boxes_say_nothing_and_leave_no_uncertainty() -> None:
+    common = CommonMotion()
+    for _ in range(300):
+        common.predict(1.0, SIZE_PX)
+        few = PLACES[: MIN_BOXES - 1]
+        assert common.correct(few, few + 30, SIZE_PX) is None
+    assert common.variance_xy.tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("places", [np.zeros((6, 2)), np.full((6, 2), 1e30)], ids=["one place", "far"])
+@pytest.mark.parametrize("step_s", [1e-9, 60.0], ids=["short", "long"])
+def test_estimates_of_a_camera_stay_finite(places: Points, step_s: float) -> None:
+    common = CommonMotion()
+    for number in range(50):
+        common.predict(step_s, SIZE_PX)
+        correction = common.correct(places, places + number, SIZE_PX)
+        assert correction is not None
+        assert np.isfinite(correction.similarity).all()
+        assert np.isfinite(correction.velocity_xy).all()
+        assert (common.variance_xy >= 0).all()

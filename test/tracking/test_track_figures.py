@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmark.tracking.cases import Case, counts_of, own_ids, simulated_cases
 from benchmark.tracking.figures import HOTA_IOUS, JudgedFrame, TrackCounts, track_counts
+from benchmark.tracking.film import Film
+from benchmark.tracking.recording import recorded
+from benchmark.tracking.rendering import rendered, shapes_detector
+from benchmark.tracking.scenes import STILL_SCENES, crossings
 
 Places = Mapping[Any, float]
 """Identity -> x of a box of 10 x 10 pixels."""
@@ -84,19 +90,6 @@ def test_hota_falls_with_the_overlap_and_idf1_asks_for_half() -> None:
     assert half.hota == pytest.approx((HOTA_IOUS < 0.501).mean())
 
 
-def test_a_pair_continues_while_it_overlaps_although_another_fits_better() -> None:
-    found = counts((ONE, {"a": 0.0}), (ONE, {"a": 3.0, "b": 0.0}))
-    assert found.switches == 0
-
-
-def test_counts_of_two_recordings_add_up() -> None:
-    perfect, missed = counts((ONE, {"a": 0.0})), counts((ONE, {}))
-    both = perfect + missed
-    assert (both.truths, both.tracked, both.identified) == (2, 1, 1)
-    assert both.idf1 == pytest.approx(2 / 3)
-    assert both.hota == pytest.approx(math.sqrt(0.5))
-
-
 names = st.permutations([0, 1, 2]).flatmap(lambda order: st.integers(0, 3).map(lambda count: order[:count]))
 recordings = st.lists(st.tuples(names, names), max_size=6)
 
@@ -116,3 +109,39 @@ def test_idf1_is_that_of_the_best_of_all_assignments(recording: list[tuple[list[
 
 def _in_a_row(names: list[int]) -> Places:
     return {name: 20.0 * place for place, name in enumerate(names)}
+
+
+pytestmark = pytest.mark.long
+
+CROWDED = ["crossings", "occlusions", "returns", "crowd"]
+
+
+@pytest.fixture(scope="module")
+def cases() -> list[Case]:
+    scenes = {name: scene for name, scene in STILL_SCENES.items() if name in CROWDED}
+    return simulated_cases([0], scenes, with_film=False)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "min_idf1", "min_hota", "max_switches"),
+    [(5.0, 0.78, 0.6, 10), (10.0, 0.8, 0.62, 8), (30.0, 0.83, 0.64, 8)],
+    ids=["5 Hz", "10 Hz", "30 Hz"],
+)
+def test_identities_are_kept_at_any_rate(
+    cases: list[Case], rate_hz: float, min_idf1: float, min_hota: float, max_switches: int
+) -> None:
+    at_rate = [case for case in cases if case.rate_hz == rate_hz]
+    assert [case.name for case in at_rate] == CROWDED
+    counts = sum((counts_of(case.frames, own_ids(case.frames)) for case in at_rate), TrackCounts())
+    assert counts.idf1 >= min_idf1
+    assert counts.hota >= min_hota
+    assert counts.switches <= max_switches
+
+
+def test_identities_of_drawn_shapes_are_kept() -> None:
+    rng = np.random.default_rng(0)
+    with closing(shapes_detector()) as detector:
+        frames = recorded(crossings(rng), 5.0, rng, rendered(detector, rng), Film(rng))
+    counts = counts_of(frames, own_ids(frames))
+    assert counts.idf1 >= 0.7
+    assert counts.switches <= 4

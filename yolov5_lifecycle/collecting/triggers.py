@@ -82,7 +82,7 @@ class CollectRules:
 
     @cached_property
     def classes(self) -> frozenset[int]:
-        """Those of `collect_reasons`. Raises ClassFilterError if one is not a class of the model."""
+        """Those of `collect_reasons`. Raises ValueError if one is not a class of the model."""
         named = classes_of_reasons(self.settings.collect_reasons)
         return class_ids(named, self.class_names) or frozenset()
 

@@ -23,8 +23,6 @@ from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.unfinished import open_itself
 
-UNFINISHED = ".partial.pt"
-"""End of the name of a file that is not whole yet."""
 _IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove it"
 _STALL_S = 30.0
 
@@ -73,7 +71,7 @@ def fetch(
 
 
 def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
-    unfinished = target.with_suffix(UNFINISHED)
+    unfinished = target.with_suffix(".partial.pt")
     found = _whole(unfinished, sha256)
     if found is None:
         try:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.commands.convert import convert, report
 from yolov5_lifecycle.models.architecture import SIZES
-from yolov5_lifecycle.printable import in_one_line, shell_command
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
@@ -46,10 +46,7 @@ LICENCE = "The official YOLOv5 weights are by Ultralytics, under AGPL-3.0 or a l
 def command_parser() -> CommandParser:
     """The argument parser of the command."""
     parser = CommandParser("fetch_weights", description="Download an official YOLOv5 checkpoint. " + LICENCE)
-    parser.add_argument(
-        "model", nargs="?", choices=MODELS, metavar="MODEL", help=f"one of {', '.join(MODELS)}"
-    )
-    parser.add_argument("--list", action="store_true", help="list the weights files in the folder and exit")
+    parser.add_argument("model", choices=MODELS, metavar="MODEL", help=f"one of {', '.join(MODELS)}")
     parser.add_argument(
         "--dir",
         type=Path,
@@ -80,27 +77,8 @@ def _digest(text: str) -> str:
         raise argparse.ArgumentTypeError(error.problems[0].message) from None
 
 
-def listing(folder: Path) -> str:
-    """The weights files in `folder`, one per line with its size; unfinished downloads are marked."""
-    from yolov5_lifecycle.commands.download import UNFINISHED
-
-    files = sorted(path for suffix in (".pt", ".safetensors", ".onnx") for path in folder.glob(f"*{suffix}"))
-    if not files:
-        command = shell_command("fetch_weights", "n", "--dir", folder)
-        return f"no weights in {folder}; `{command}` downloads the smallest.\n"
-    return "".join(
-        f"{path.stat().st_size / 1e6:8.1f} MB  {in_one_line(str(path))}"
-        f"{'  (unfinished: fetch it again)' if path.name.endswith(UNFINISHED) else ''}\n"
-        for path in files
-        if path.is_file()
-    )
-
-
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command_parser()
-    arguments = parser.parse_args(argv)
-    if arguments.list == (arguments.model is not None):
-        parser.error("give a MODEL, or --list")
+    arguments = command_parser().parse_args(argv)
     from yolov5_lifecycle.commands.download import DownloadError
     from yolov5_lifecycle.models.model import WeightsError
 
@@ -120,11 +98,8 @@ def _run(arguments: argparse.Namespace) -> str:
     """Run the command and return its output."""
     from yolov5_lifecycle.checkpoints.locate import expanded
 
-    folder = expanded(arguments.dir)
-    if arguments.list:
-        return listing(folder)
     sys.stderr.write(LICENCE)
-    found = _fetch_checked(arguments, folder)
+    found = _fetch_checked(arguments, expanded(arguments.dir))
     told = "" if arguments.sha256 else _official_line(arguments.model)
     if arguments.safetensors:
         found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)

@@ -39,7 +39,7 @@ def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Pro
 def _class_problem(name: str, entries: Sequence[str], class_names: Sequence[str]) -> str:
     try:
         _MODEL_DEPENDENT[_setting_of(name)](entries, class_names)
-    except ClassFilterError as error:
+    except ValueError as error:
         return str(error)
     return ""
 
@@ -55,7 +55,7 @@ def _setting_of(name: str) -> str:
 
 
 def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
-    """NMS and filter parameters from `settings`; ClassFilterError when `model_problems` reports any."""
+    """NMS and filter parameters from `settings`; ValueError when `model_problems` reports any."""
     return Selection(
         confidence_threshold=settings.confidence_threshold,
         class_thresholds=class_thresholds(settings.class_thresholds, class_names),
@@ -81,16 +81,12 @@ def _box_filter(settings: Settings) -> BoxFilter | None:
     )
 
 
-class ClassFilterError(ValueError):
-    """A filter entry that is not a class of the model."""
-
-
 def class_ids(entries: Sequence[str], class_names: Sequence[str]) -> frozenset[int] | None:
     """Class ids (indices into `class_names`) that `entries` select; None (all classes) for an empty filter.
 
     An entry is a class name or a decimal index; a class name takes precedence over an equal index.
 
-    Raises ClassFilterError naming the first entries that are not classes of the model.
+    Raises ValueError naming the first entries that are not classes of the model.
     """
     if not entries:
         return None
@@ -101,7 +97,7 @@ def class_ids(entries: Sequence[str], class_names: Sequence[str]) -> frozenset[i
 def class_thresholds(entries: Sequence[str], class_names: Sequence[str]) -> tuple[tuple[int, float], ...]:
     """Class ids and their thresholds from `entries` such as "person: 0.5".
 
-    Raises ClassFilterError naming the first that are not classes of the model, or a class with two.
+    Raises ValueError naming the first that are not classes of the model, or a class with two.
     """
     if not entries:
         return ()
@@ -110,12 +106,12 @@ def class_thresholds(entries: Sequence[str], class_names: Sequence[str]) -> tupl
     for name, ids in _ids_by_entry(list(thresholds), class_names).items():
         for class_id in ids:
             if (other := names_by_id.setdefault(class_id, name)) != name:
-                raise ClassFilterError(f"'{_shown(other)}' and '{_shown(name)}' are the same class.")
+                raise ValueError(f"'{_shown(other)}' and '{_shown(name)}' are the same class.")
     return tuple((class_id, thresholds[name]) for class_id, name in sorted(names_by_id.items()))
 
 
 def _ids_by_entry(entries: Sequence[str], class_names: Sequence[str]) -> dict[str, list[int]]:
-    """The class ids of each of `entries`, names or indices; raises ClassFilterError."""
+    """The class ids of each of `entries`, names or indices; raises ValueError."""
     ids_by_name: defaultdict[str, list[int]] = defaultdict(list)
     for class_id, name in enumerate(class_names):
         ids_by_name[name].append(class_id)
@@ -124,7 +120,7 @@ def _ids_by_entry(entries: Sequence[str], class_names: Sequence[str]) -> dict[st
         for entry in entries
     }
     if unknown := [entry for entry, ids in found.items() if not ids]:
-        raise ClassFilterError(_explanation(unknown, class_names))
+        raise ValueError(_explanation(unknown, class_names))
     return found
 
 
@@ -141,7 +137,7 @@ _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]]
     "class_thresholds": class_thresholds,
     "collect_reasons": lambda reasons, names: class_ids(classes_of_reasons(reasons), names),
 }
-"""By setting: the function that resolves it with the class names, or raises ClassFilterError."""
+"""By setting: the function that resolves it with the class names, or raises ValueError."""
 
 
 def _index(entry: str, count: int) -> list[int]:

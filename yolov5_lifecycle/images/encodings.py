@@ -14,18 +14,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_frame_id, check_size
 
-_CONVERSIONS: dict[tuple[Order, str], int | None] = {
-    ("rgb", "rgb8"): None,
-    ("rgb", "bgr8"): cv2.COLOR_RGB2BGR,
-    ("rgb", "mono8"): cv2.COLOR_RGB2GRAY,
-    ("rgb", "rgba8"): cv2.COLOR_RGB2RGBA,
-    ("rgb", "bgra8"): cv2.COLOR_RGB2BGRA,
-    ("bgr", "rgb8"): cv2.COLOR_BGR2RGB,
-    ("bgr", "bgr8"): None,
-    ("bgr", "mono8"): cv2.COLOR_BGR2GRAY,
-    ("bgr", "rgba8"): cv2.COLOR_BGR2RGBA,
-    ("bgr", "bgra8"): cv2.COLOR_BGR2BGRA,
-}
+_CHANNELS = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "GRAY", "rgba8": "RGBA", "bgra8": "BGRA"}
 
 
 class GreyImage(ColourImage):
@@ -265,8 +254,8 @@ def _check_buffer(image: _RawImage) -> None:
 
 def encoded(image: ColourImage, encoding: str) -> NDArray[np.uint8]:
     """Pixels (H, W, channels) in `encoding`: rgb8, bgr8, mono8, rgba8 or bgra8; else KeyError."""
-    conversion = _CONVERSIONS[image.order, encoding]
-    if conversion is None:
+    present, wanted = image.order.upper(), _CHANNELS[encoding]
+    if present == wanted:
         return image.pixels
-    pixels = np.asarray(cv2.cvtColor(image.pixels, conversion), np.uint8)
+    pixels = _converted(image.pixels, getattr(cv2, f"COLOR_{present}2{wanted}"))
     return pixels.reshape(*image.size_hw, -1)  # OpenCV drops the axis of a single channel

@@ -29,15 +29,11 @@ _AT_ONCE = 512
 """Points that are compared with all lines at once; it bounds the memory."""
 
 
-class RegionError(ValueError):
-    """The points form no polygon within the image; the message says which ones and why."""
-
-
 @dataclass(frozen=True)
 class Region:
     """A polygon with MIN_POINTS to MAX_POINTS points, whose lines neither cross nor touch each other.
 
-    Raises RegionError on construction for other points.
+    Raises ValueError on construction for other points; the message says which ones and why.
     """
 
     points_xy: tuple[PointXY, ...]
@@ -45,7 +41,7 @@ class Region:
 
     def __post_init__(self) -> None:
         if not MIN_POINTS <= len(self.points_xy) <= MAX_POINTS:
-            raise RegionError(
+            raise ValueError(
                 f"has {len(self.points_xy)} points, a region has {MIN_POINTS} to {MAX_POINTS}: "
                 "'x,y x,y x,y' in fractions of the image"
             )
@@ -54,9 +50,9 @@ class Region:
 
     @classmethod
     def parse(cls, text: str) -> Region:
-        """The region that `text` describes, such as "0.1,0.5 0.9,0.5 0.5,1"; raises RegionError."""
+        """The region that `text` describes, such as "0.1,0.5 0.9,0.5 0.5,1"; raises ValueError."""
         if len(text) > MAX_CHARACTERS:
-            raise RegionError(f"has {len(text)} characters, more than {MAX_CHARACTERS}")
+            raise ValueError(f"has {len(text)} characters, more than {MAX_CHARACTERS}")
         return cls(tuple(_parsed(number, word) for number, word in enumerate(text.split(), 1)))
 
     def contains(self, points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -80,35 +76,35 @@ def _parsed(number: int, word: str) -> PointXY:
     parts = word.split(",")
     if len(parts) != 2 or not all(map(_NUMBER.fullmatch, parts)):
         shown = in_one_line(word, _MAX_SHOWN)
-        raise RegionError(f"has '{shown}' as point {number}: write x,y without a space, as in 0.25,0.5")
+        raise ValueError(f"has '{shown}' as point {number}: write x,y without a space, as in 0.25,0.5")
     return float(parts[0]), float(parts[1])
 
 
 def _check_each(points_xy: Sequence[PointXY]) -> None:
-    """Raise RegionError unless all points are in the image."""
+    """Raise ValueError unless all points are in the image."""
     for number, (x, y) in enumerate(points_xy, 1):
         if not (0 <= x <= 1 and 0 <= y <= 1):
-            raise RegionError(
+            raise ValueError(
                 f"has point {number} at {x:g},{y:g}, outside the image: coordinates are fractions of its "
                 "width and height, from 0 to 1"
             )
 
 
 def _check_outline(points: NDArray[np.int64]) -> None:
-    """Raise RegionError unless the lines between `points` (n, 2), multiples of 1 / _GRID, form a polygon."""
+    """Raise ValueError unless the lines between `points` (n, 2), multiples of 1 / _GRID, form a polygon."""
     numbers: dict[tuple[int, ...], int] = {}
     for number, point in enumerate(map(tuple, points.tolist()), 1):
         first = numbers.setdefault(point, number)
         if (first, number) == (1, len(points)):
-            raise RegionError("repeats its first point at the end: leave that out, a region closes itself")
+            raise ValueError("repeats its first point at the end: leave that out, a region closes itself")
         if first != number:
-            raise RegionError(f"has point {number} where point {first} is: leave one out")
+            raise ValueError(f"has point {number} where point {first} is: leave one out")
     sides = _sides(points)
     if not sides.any():
-        raise RegionError("has no area: its points lie on one line")
+        raise ValueError("has no area: its points lie on one line")
     if (crossing := _first_crossing(points, sides)) is not None:
         one, other = (f"{line + 1}-{(line + 1) % len(points) + 1}" for line in crossing)
-        raise RegionError(
+        raise ValueError(
             f"has lines that cross or touch, from point to point: {one} and {other}. "
             "Give the points in order along the border"
         )

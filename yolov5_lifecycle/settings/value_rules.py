@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 from pydantic_core import PydanticCustomError
 
-from yolov5_lifecycle.images.region import Region, RegionError
+from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.camera_names import camera_names_rule
 from yolov5_lifecycle.settings.schema import violation
@@ -129,7 +129,7 @@ def regions(value: tuple[str, ...]) -> tuple[str, ...]:
 def _region_problem(text: str) -> str:
     try:
         Region.parse(text)
-    except RegionError as error:
+    except ValueError as error:
         return str(error)
     return ""
 

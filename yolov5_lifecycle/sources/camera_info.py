@@ -22,10 +22,6 @@ _FILE, _PACKAGE = "file://", "package://"
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 
 
-class CameraInfoError(ValueError):
-    """An invalid file; the message names the file, what was expected and what was found."""
-
-
 class Matrix(BaseModel):
     """A matrix in OpenCV's YAML format: rows, cols and row-major data."""
 
@@ -89,11 +85,13 @@ class CameraInfoValues(BaseModel):
 
 
 def read_camera_info(url: str) -> CameraInfoValues:
-    """Read the file at `file:///PATH` or `package://PACKAGE/PATH`; raises CameraInfoError."""
+    """Read the file at `file:///PATH` or `package://PACKAGE/PATH`; ValueError says what is wrong with it."""
     path = _path(url)
     try:
-        content = read_regular_file(path, MAX_FILE_BYTES)
-        return CameraInfoValues.model_validate(_tree(content))
+        tree = yaml.safe_load(read_regular_file(path, MAX_FILE_BYTES))
+        if not isinstance(tree, dict):
+            raise ValueError("found no names and values")
+        return CameraInfoValues.model_validate(tree)
     except ValidationError as error:
         problem = _described(error)
     except RegularFileError as error:
@@ -102,7 +100,7 @@ def read_camera_info(url: str) -> CameraInfoValues:
         problem = error.strerror or type(error).__name__
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         problem = f"expected the YAML file that camera_calibration writes: {error}"
-    raise CameraInfoError(f"{in_one_line(str(path))}: {in_one_line(problem).removesuffix('.')}.")
+    raise ValueError(f"{in_one_line(str(path))}: {in_one_line(problem).removesuffix('.')}.")
 
 
 def _path(url: str) -> Path:
@@ -110,20 +108,13 @@ def _path(url: str) -> Path:
         try:
             return Path(resolve_package(url))
         except ValueError as error:
-            raise CameraInfoError(in_one_line(str(error))) from None
+            raise ValueError(in_one_line(str(error))) from None
     path = Path(unquote(url.removeprefix(_FILE)))
     if not (url.startswith(_FILE) and path.is_absolute()):
-        raise CameraInfoError(
+        raise ValueError(
             f"'{in_one_line(url)}': expected file:///PATH with an absolute path, or package://PACKAGE/PATH."
         )
     return path
-
-
-def _tree(content: bytes) -> object:
-    tree = yaml.safe_load(content)
-    if not isinstance(tree, dict):
-        raise ValueError("found no names and values")
-    return tree
 
 
 def _problem(text: str) -> PydanticCustomError:

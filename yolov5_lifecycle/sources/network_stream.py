@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, Protocol
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 import cv2
@@ -28,23 +27,7 @@ _UNENCODED = re.compile(r"://.*[\s/?#].*@")
 Report = Callable[[str], None]
 Wait = Callable[[float], bool]
 """Waits the given seconds; True when interrupted because the stream is no longer needed."""
-
-
-class Capture(Protocol):
-    """The subset of cv2.VideoCapture used here."""
-
-    def isOpened(self) -> bool: ...  # noqa: N802 - OpenCV's name
-    def read(self) -> tuple[bool, Any]: ...
-    def get(self, property_id: int) -> float: ...
-    def release(self) -> None: ...
-
-
-@dataclass(frozen=True)
-class NetworkStream:
-    """BGR frames (H, W, 3) and, for a file served over the network, their rate, else None."""
-
-    frames: Iterator[NDArray[np.uint8]]
-    rate_hz: float | None
+Connect = Callable[[str], cv2.VideoCapture]
 
 
 def is_stream(source: str) -> bool:
@@ -58,12 +41,13 @@ def sleep(seconds: float) -> bool:
     return False
 
 
-def open_capture(source: str) -> Capture:
+def open_capture(source: str) -> cv2.VideoCapture:
     """OpenCV capture of a URL or pipeline, opened or not; SourceError when the backend is not built in."""
     scheme = _SCHEME.match(source)
     if scheme is None:
         check_backend(cv2.CAP_GSTREAMER, "GStreamer pipelines", "GStreamer")
-        return _capture(source, cv2.CAP_GSTREAMER, [])
+        with stderr_without_secrets():
+            return cv2.VideoCapture(source, cv2.CAP_GSTREAMER)
     if scheme[1].lower() not in SCHEMES:
         raise SourceError(
             f"'{in_one_line(source)}': expected a URL that begins with one of "
@@ -72,7 +56,8 @@ def open_capture(source: str) -> Capture:
     _check_host(source)
     check_backend(cv2.CAP_FFMPEG, "URLs", "FFmpeg")
     timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
-    return _capture(source, cv2.CAP_FFMPEG, timeouts)
+    with stderr_without_secrets():
+        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, timeouts)
 
 
 def _check_host(source: str) -> None:
@@ -88,21 +73,17 @@ def _check_host(source: str) -> None:
         )
 
 
-def _capture(source: str, backend: int, options: list[int]) -> Capture:
-    with stderr_without_secrets():
-        capture: Capture = cv2.VideoCapture(source, backend, options)
-    return capture
-
-
 def open_stream(
     source: str,
     *,
     reconnects: bool,
     report: Report,
     wait: Wait = sleep,
-    connect: Callable[[str], Capture] = open_capture,
-) -> NetworkStream:
-    """The frames of `source`. With `reconnects`, a stream that ends is reconnected until it succeeds.
+    connect: Connect = open_capture,
+) -> tuple[Iterator[NDArray[np.uint8]], float | None]:
+    """BGR frames (H, W, 3) of `source` and, for a file served over the network, their rate, else None.
+
+    With `reconnects`, a stream that ends is reconnected until it succeeds.
 
     Raises SourceError if the first connection fails. Later failures go to `report`; `wait` is called before
     each attempt, with a backoff that doubles from 1 to 30 s.
@@ -117,7 +98,7 @@ def open_stream(
     is_file = capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
     rate_hz = capture.get(cv2.CAP_PROP_FPS)
     frames = _frames(source, capture, reconnects=reconnects, report=report, wait=wait, connect=connect)
-    return NetworkStream(frames, rate_hz if is_file and 0 < rate_hz <= 1000 else None)
+    return frames, rate_hz if is_file and 0 < rate_hz <= 1000 else None
 
 
 def _hint(source: str) -> str:
@@ -128,18 +109,19 @@ def _hint(source: str) -> str:
 
 def _frames(
     source: str,
-    capture: Capture,
+    capture: cv2.VideoCapture,
     *,
     reconnects: bool,
     report: Report,
     wait: Wait,
-    connect: Callable[[str], Capture],
+    connect: Connect,
 ) -> Iterator[NDArray[np.uint8]]:
     delay_s = MIN_DELAY_S
     while True:
-        for pixels in _read(capture):
-            yield pixels
-            delay_s = MIN_DELAY_S
+        with suppress(SourceError):
+            for pixels in captured(capture):
+                yield pixels
+                delay_s = MIN_DELAY_S
         if not reconnects:
             return
         while True:
@@ -154,14 +136,14 @@ def _frames(
             capture.release()
 
 
-def _read(capture: Capture) -> Iterator[NDArray[np.uint8]]:
-    """Frames until the stream ends or cannot be decoded."""
+def captured(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
+    """BGR frames (H, W, 3) to the end, where it is released; SourceError if one cannot be decoded."""
     try:
         while True:
             try:
                 is_read, pixels = capture.read()
-            except cv2.error:
-                return
+            except cv2.error as error:
+                raise SourceError(f"OpenCV cannot decode the next frame: {error.err}.") from None
             if not is_read:
                 return
             yield np.asarray(pixels, np.uint8)

@@ -23,6 +23,7 @@ from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFram
 from yolov5_lifecycle.sources.network_stream import (
     Report,
     Wait,
+    captured,
     check_backend,
     is_stream,
     open_stream,
@@ -76,18 +77,14 @@ def open_source(
     """
     if source == SYNTHETIC:
         return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW, depth)
-    if depth:
-        raise SourceError(
-            f"Only the source '{SYNTHETIC}' has depth, not '{in_one_line(source)}': leave out one of them."
-        )
     if (device := _device_number(source)) is not None:
         return _device(device, size_hw)
     path = Path(source).expanduser()
     if is_stream(source) and not _exists(path):
         if not is_utf8(source):  # OpenCV 5.0 crashes
             raise SourceError(f"'{in_one_line(source)}': the address of a stream must be UTF-8.")
-        stream = open_stream(source, reconnects=loop, report=report, wait=wait)
-        return ImageSource((_frame(pixels, size_hw) for pixels in stream.frames), stream.rate_hz)
+        frames, rate_hz = open_stream(source, reconnects=loop, report=report, wait=wait)
+        return ImageSource((_frame(pixels, size_hw) for pixels in frames), rate_hz)
     if not _exists(path):
         before, _, after = source.rpartition("@")  # an address without its scheme has a password, too
         shown = in_one_line(f"***@{after}" if ":" in before else source)
@@ -152,7 +149,7 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size_hw[1])
 
     def frames() -> Iterator[SourceFrame]:
-        yield from _captured(capture, size_hw)
+        yield from (_frame(pixels, size_hw) for pixels in captured(capture))
         raise SourceError(f"Device {number} delivers no more images: was it unplugged?")
 
     return ImageSource(frames(), rate_hz=None)
@@ -176,12 +173,20 @@ def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSour
     claimed_frames = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
     told_hz = capture.get(cv2.CAP_PROP_FPS)
     rate_hz = told_hz if 0 < told_hz <= _MAX_VIDEO_RATE_HZ else IMAGE_RATE_HZ
-    captured = _captured(capture, size_hw)
-    first = next(captured, None)
-    if first is None:
-        raise SourceError(f"{path} is a video without a readable image.")
-    repeated = _repeated(path, size_hw) if loop else ()
-    return ImageSource(itertools.chain([first], captured, repeated), rate_hz, claimed_frames)
+    once = _first_and_others(capture, f"{path} is a video without a readable image.")
+    # Many formats cannot seek to the beginning, all can be reopened.
+    lost = f"{path} can no longer be read: was it moved or unplugged?"
+    again = (pixels for _ in itertools.repeat(None) for pixels in _first_and_others(_opened(path), lost))
+    frames = (_frame(pixels, size_hw) for pixels in itertools.chain(once, again if loop else ()))
+    return ImageSource(frames, rate_hz, claimed_frames)
+
+
+def _first_and_others(capture: cv2.VideoCapture, problem: str) -> Iterator[NDArray[np.uint8]]:
+    """The frames of `capture`; SourceError, at once, if it has none."""
+    frames = captured(capture)
+    if (first := next(frames, None)) is None:
+        raise SourceError(problem)
+    return itertools.chain([first], frames)
 
 
 def _opened(path: Path) -> cv2.VideoCapture:
@@ -194,36 +199,9 @@ def _opened(path: Path) -> cv2.VideoCapture:
         try:
             return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
         finally:
+            os.environ[_FFMPEG_OPTIONS] = given or ""
             if given is None:
                 del os.environ[_FFMPEG_OPTIONS]
-            else:
-                os.environ[_FFMPEG_OPTIONS] = given
-
-
-def _repeated(path: Path, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
-    """The video from its beginning, repeated endlessly."""
-    while True:
-        # Many formats cannot seek to the beginning, all can be reopened.
-        captured = _captured(_opened(path), size_hw)
-        first = next(captured, None)
-        if first is None:
-            raise SourceError(f"{path} can no longer be read: was it moved or unplugged?")
-        yield first
-        yield from captured
-
-
-def _captured(capture: cv2.VideoCapture, size_hw: tuple[int, int] | None) -> Iterator[SourceFrame]:
-    try:
-        while True:
-            try:
-                is_read, pixels = capture.read()
-            except cv2.error as error:
-                raise SourceError(f"OpenCV cannot decode the next frame: {error.err}.") from None
-            if not is_read:
-                return
-            yield _frame(np.asarray(pixels, np.uint8), size_hw)
-    finally:
-        capture.release()
 
 
 def image_paths(path: Path) -> list[Path]:
@@ -285,10 +263,6 @@ def read_image(path: Path) -> ColourImage:
 
 
 def _frame(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> SourceFrame:
-    return SourceFrame(ColourImage(_sized(pixels, size_hw), "bgr"))
-
-
-def _sized(pixels: NDArray[np.uint8], size_hw: tuple[int, int] | None) -> NDArray[np.uint8]:
-    if size_hw is None or pixels.shape[:2] == size_hw:
-        return pixels
-    return np.asarray(cv2.resize(pixels, size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+    if size_hw not in (None, pixels.shape[:2]):
+        pixels = np.asarray(cv2.resize(pixels, size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+    return SourceFrame(ColourImage(pixels, "bgr"))

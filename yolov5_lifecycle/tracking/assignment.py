@@ -14,20 +14,16 @@ Solver = Callable[..., tuple[Indices, Indices]]
 """`scipy.optimize.linear_sum_assignment`: rows and columns, one to one, with the largest sum of a matrix."""
 
 
-class TrackerAbsentError(ValueError):
-    """The tracker needs a package that is not installed; the message says how to install it."""
-
-
 def load_solver() -> Solver:
     """scipy's solver of the assignment problem, imported here because scipy is optional.
 
-    Raises TrackerAbsentError.
+    Raises ValueError, with how to install it, when it is not installed.
     """
     try:
         from scipy.optimize import linear_sum_assignment
     except ImportError as error:
         problem = str(error).partition("\n")[0]
-        raise TrackerAbsentError(
+        raise ValueError(
             f"The tracker 'bytetrack' needs scipy, which is not installed ({problem}). Install it with "
             f"{sys.executable} -m pip install scipy, or use the tracker 'none'."
         ) from None

@@ -22,16 +22,20 @@ from support.detector_process import PARAMETERS, SCENE, as_arguments, detector_p
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.lone_node import lone_node
 from support.sighting import Sighting
-from vision_msgs.msg import Detection2DArray
+from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
 from yolov5_lifecycle.images.image import ColourImage, Order
-from yolov5_lifecycle.ros.camera.outputs import IMAGE_FORMS, CameraOutputs, ImageForm, jpeg_message
+from yolov5_lifecycle.ros.camera import outputs
+from yolov5_lifecycle.ros.camera.outputs import CameraOutputs, jpeg_message
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, label_image
+from yolov5_lifecycle.sources.scene_depth import SceneDepth
 from yolov5_lifecycle.sources.source import open_source
+from yolov5_lifecycle.spatial.depth_image import depth_image_of_message
+from yolov5_lifecycle.spatial.intrinsics import intrinsics_of_message
 
 README = REPOSITORY / "README.md"
 RELIABLE = QoSProfile(depth=10)
@@ -102,6 +106,11 @@ def collected(
     return messages
 
 
+def together(*received: dict[int, Any]) -> list[int]:
+    """Stamps of which all of `received` have a message."""
+    return sorted(set.intersection(*map(set, received)))
+
+
 @pytest.mark.end_to_end
 def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer, ros_domain: int) -> None:
     images = collected(observer, Image, "/image_raw")
@@ -110,12 +119,12 @@ def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer
     parameters = {"width": 160, "height": 120, "seed": 4, "encoding": "bgr8", "frame_id": "lens"}
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
         observer.wait_for(
-            lambda: len(images.keys() & truths.keys()) >= 5 and bool(unreliable), "images and their truths"
+            lambda: len(together(images, truths)) >= 5 and bool(unreliable), "images and their truths"
         )
         assert camera.stop(signal.SIGTERM) == 0
     scene = Scene(4, (120, 160))
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
-    stamps = sorted(images.keys() & truths.keys())
+    stamps = together(images, truths)
     indices = [index_of[image_of_message(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
     assert indices == sorted(set(indices))
     for stamp, index in zip(stamps, indices, strict=True):
@@ -139,77 +148,100 @@ def test_a_video_played_once_reaches_a_subscriber_completely(
     assert "publishing 32 x 24 (rgb8) at 1000 images per second on /image_raw\n" in camera.output
 
 
-@pytest.mark.long
-def test_every_transport_sends_the_same_images_on_the_remapped_topics(
-    observer: Observer, ros_domain: int
-) -> None:
-    raws = collected(observer, Image, "/front/image_raw")
-    jpegs = collected(observer, CompressedImage, "/front/image_raw/compressed")
-    infos = collected(observer, CameraInfo, "/front/camera_info")
-    parameters = {"image_transport": "both", "width": 160, "height": 120, "frame_id": "lens"}
-    arguments = ["-r", "image_raw:=/front/image_raw", *as_arguments(parameters)]
-    with camera_process(ros_domain, "--ros-args", *arguments):
-        observer.wait_for(lambda: bool(raws.keys() & jpegs.keys() & infos.keys()), "one image everywhere")
-    stamp = min(raws.keys() & jpegs.keys() & infos.keys())
-    raw, jpeg, info = raws[stamp], jpegs[stamp], infos[stamp]
-    assert raw.header == jpeg.header == info.header
-    assert (info.header.frame_id, info.width, info.height, info.k[0]) == ("lens", 160, 120, 0.0)
-    assert jpeg == jpeg_message(image_of_message(raw), "rgb8", raw.header)
+TOPICS = {
+    "/front/image_raw": Image,
+    "/front/image_raw/compressed": CompressedImage,
+    "/front/camera_info": CameraInfo,
+    "/front/depth/image_raw": Image,
+    "/front/depth/camera_info": CameraInfo,
+    "/camera/truth": Detection2DArray,
+    "/camera/ground_truth_masks": Image,
+    "/camera/ground_truth_3d": Detection3DArray,
+}
+
+
+def ids_of(message: Detection2DArray | Detection3DArray) -> list[str]:
+    return [detection.id for detection in message.detections]
 
 
 @pytest.mark.long
-def test_compressed_images_come_alone_and_with_the_quality_of_service_that_was_asked_for(
+def test_all_that_is_known_of_an_image_has_its_header_on_the_remapped_topics(
     observer: Observer, ros_domain: int
 ) -> None:
-    jpegs = collected(observer, CompressedImage, "/image_raw/compressed", BEST_EFFORT)
-    parameters = {"image_transport": "compressed", "encoding": "mono8", "width": 160, "height": 120}
-    override = {"qos_overrides./image_raw/compressed.publisher.reliability": "best_effort"}
+    received = [collected(observer, kind, topic, BEST_EFFORT) for topic, kind in TOPICS.items()]
+    parameters = {"width": 160, "height": 120, "seed": 4, "frame_id": "lens"}
+    parameters |= {
+        "depth": True,
+        "image_transport": "both",
+        "qos_overrides./front/image_raw.publisher.reliability": "best_effort",
+    }
+    with camera_process(
+        ros_domain, "--ros-args", "-r", "image_raw:=/front/image_raw", *as_arguments(parameters)
+    ):
+        observer.wait_for(lambda: len(together(*received)) >= 3, "messages on every topic")
+        (publisher,) = observer.get_publishers_info_by_topic("/front/image_raw")
+    assert publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    scene = Scene(4, (120, 160))
+    space = SceneDepth(4, scene)
+    index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
+    for stamp in together(*received):
+        raw, jpeg, info, depth, depth_info, truth, masks, places = (each[stamp] for each in received)
+        index = index_of[image_of_message(raw).pixels.tobytes()]
+        assert all(each[stamp].header == raw.header for each in received)
+        assert (raw.header.frame_id, depth.encoding, masks.encoding) == ("lens", "16UC1", "16UC1")
+        assert jpeg == jpeg_message(image_of_message(raw), "rgb8", raw.header)
+        assert info == depth_info
+        assert (intrinsics_of_message(info).size_hw, intrinsics_of_message(info).fx) == ((120, 160), 160)
+        expected = space.frame(index)
+        np.testing.assert_array_equal(depth_image_of_message(depth).values, expected.depth_mm)
+        assert ids_of(places) == ids_of(truth) == [str(number) for number in range(1, 7)]
+        boxes = [detection.bbox for detection in places.detections]
+        centres = [(box.center.position.x, box.center.position.y, box.center.position.z) for box in boxes]
+        np.testing.assert_allclose(centres, expected.centres_xyz_m)
+        np.testing.assert_allclose([(b.size.x, b.size.y, b.size.z) for b in boxes], expected.sizes_xyz_m)
+        labels = np.frombuffer(bytes(masks.data), "<u2").reshape(masks.height, masks.width)
+        outlines = [shape.outline() for shape in scene.shapes(index)]
+        np.testing.assert_array_equal(labels, label_image(outlines, (120, 160)))
 
-    def offers() -> list[ReliabilityPolicy]:
-        publishers = observer.get_publishers_info_by_topic("/image_raw/compressed")
-        return [publisher.qos_profile.reliability for publisher in publishers]
 
-    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters | override)):
-        observer.wait_for(lambda: bool(jpegs and offers()), "an image and its publisher")
-        assert offers() == [ReliabilityPolicy.BEST_EFFORT]
-        assert observer.count_publishers("/image_raw") == 0
-    assert {jpeg.format for jpeg in jpegs.values()} == {"mono8; jpeg compressed "}
-
-
-def noting(form: ImageForm, made: list[str]) -> ImageForm:
-    """`form`, telling `made` its suffix whenever it makes a message."""
-
-    def message(*arguments: Any) -> Any:
-        made.append(form.suffix)
-        return form.message(*arguments)
-
-    return form._replace(message=message)
+@pytest.mark.long
+def test_of_files_nothing_more_is_known_and_camera_info_is_not_calibrated(
+    observer: Observer, ros_domain: int, folder: Path
+) -> None:
+    images, masks, infos = (
+        collected(observer, Image, "/image_raw"),
+        collected(observer, Image, "/camera/ground_truth_masks"),
+        collected(observer, CameraInfo, "/camera_info"),
+    )
+    with camera_process(ros_domain, "--ros-args", *as_arguments({"source": str(folder)})):
+        observer.wait_for(lambda: len(together(images, infos)) >= len(GREYS), "images")
+        published = {name for name, _ in observer.get_topic_names_and_types()}
+    assert not masks
+    assert not {name for name in published if "depth" in name or "3d" in name}
+    assert {tuple(info.k) for info in infos.values()} == {(0.0,) * 9}
 
 
-def test_a_form_without_subscribers_is_not_encoded(observer: Observer, ros_domain: int) -> None:
-    made: list[str] = []
-    forms = {transport: [noting(form, made) for form in forms] for transport, forms in IMAGE_FORMS.items()}
+def test_what_nobody_subscribes_to_is_not_encoded(
+    observer: Observer, ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(outputs, "encode_jpeg")
     with lone_node("camera") as node:
-        outputs = CameraOutputs(node, CameraSettings(image_transport="both"), forms=forms)
+        camera = CameraOutputs(node, CameraSettings(image_transport="both"))
         frame = next(open_source("synthetic").frames)
-        outputs.publish(frame)
-        assert made == []
         raws = collected(observer, Image, "/image_raw")
 
         def is_received() -> bool:
-            outputs.publish(frame)
+            camera.publish(frame)
             return bool(raws)
 
         observer.wait_for(is_received, "an image")
-    assert set(made) == {""}
 
 
 def first_info(observer: Observer) -> CameraInfo:
-    infos: list[CameraInfo] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    observer.create_subscription(CameraInfo, "/camera_info", infos.append, latched)
+    infos = collected(observer, CameraInfo, "/camera_info", latched)
     observer.wait_for(lambda: bool(infos), "the camera's info")
-    return infos[0]
+    return next(iter(infos.values()))
 
 
 @pytest.mark.long

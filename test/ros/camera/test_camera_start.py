@@ -15,7 +15,8 @@ from support.colcon_workspace import REPOSITORY
 from support.detector_process import as_arguments
 from support.grey_images import grey_folder
 
-from yolov5_lifecycle.ros.camera.settings import CameraSettings
+from yolov5_lifecycle.ros.camera.settings import SCHEMA, CameraSettings
+from yolov5_lifecycle.settings.schema import SettingsError
 
 CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
 RAW_QOS = "qos_overrides./image_raw.publisher"
@@ -73,43 +74,36 @@ def test_images_of_another_size_than_the_calibration_end_the_process_with_the_re
     assert "The images are 32 x 24, but camera_info_url has the calibration for 64 x 48" in camera.output
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("parameters", "told"),
     [
-        pytest.param({"rate": "-1.0", "seed": "-1"}, ["rate: -1.0", "seed: -1"], id="ranges"),
-        pytest.param(
-            {"encoding": "yuv"}, ["encoding: 'yuv'", "one of rgb8, bgr8"], id="choice", marks=pytest.mark.long
-        ),
-        pytest.param({"rate": "fast"}, ["rate: 'fast'"], id="type", marks=pytest.mark.long),
-        pytest.param(
-            {"camera_info_url": "x.yaml"},
-            ["camera_info_url: ", "file:///PATH"],
-            id="calibration",
-            marks=pytest.mark.long,
-        ),
+        pytest.param({"rate": -1.0, "seed": -1}, ["rate: -1.0", "seed: -1"], id="ranges"),
+        pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "one of rgb8, bgr8"], id="choice"),
         pytest.param(
             {"source": "/nowhere.mp4", "depth": True},
             ["depth, source: only the source 'synthetic' has depth, not '/nowhere.mp4'"],
             id="depth of a file",
-            marks=pytest.mark.long,
         ),
         pytest.param(
             {"camera_info_url": "package://a/b.yaml", "depth": True},
             ["depth, camera_info_url", "camera of the scene"],
             id="depth and a calibration",
-            marks=pytest.mark.long,
         ),
         pytest.param({"width": 640}, ["width and height go together"], id="one side"),
-        pytest.param({"use_sim_time": "1"}, ["'use_sim_time'"], id="a parameter of ROS's own"),
-        pytest.param({"sorce": "0"}, ["sorce", "Did you mean 'source'?"], id="unknown name"),
-        pytest.param(
-            {f"{RAW_QOS}.reliability": "maybe"},
-            ["`reliability`: `maybe`"],
-            id="quality of service",
-            marks=pytest.mark.long,
-        ),
-        pytest.param({f"{RAW_QOS}.deph": 5}, ["Did you mean", f"{RAW_QOS}.depth"], id="unknown quality"),
+    ],
+)
+def test_a_wrong_value_is_explained(parameters: dict[str, object], told: list[str]) -> None:
+    with pytest.raises(SettingsError) as refused:
+        SCHEMA.validated(CameraSettings().model_dump() | parameters)
+    assert all(word in str(refused.value) for word in told), refused.value
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        pytest.param({"sorce": "0", "rate": "-1.0"}, ["Did you mean 'source'?", "rate: -1.0"], id="name"),
+        pytest.param({f"{RAW_QOS}.deph": 5}, ["Did you mean", f"{RAW_QOS}.depth"], id="quality of service"),
     ],
 )
 def test_a_wrong_parameter_is_explained(
@@ -119,20 +113,3 @@ def test_a_wrong_parameter_is_explained(
         assert camera.wait(END_S) == 2
     assert all(word in camera.output for word in told), camera.output
     assert "Traceback" not in camera.output
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("words", "code", "told"),
-    [
-        pytest.param(["--help"], 0, "rate ", id="help"),
-        pytest.param(["--source", "0"], 2, "not understood: --source 0", id="unknown flag"),
-        pytest.param(
-            ["--ros-args", "--params-file", "/nowhere.yaml"], 2, "/nowhere.yaml", id="parameter file"
-        ),
-    ],
-)
-def test_the_command_line_is_explained(ros_domain: int, words: list[str], code: int, told: str) -> None:
-    with camera_process(ros_domain, *words) as camera:
-        assert camera.wait(END_S) == code
-    assert told in camera.output

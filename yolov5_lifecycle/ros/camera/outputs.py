@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
@@ -46,22 +46,14 @@ def jpeg_message(image: ColourImage, encoding: str, header: Header) -> Compresse
     return compressed_image_message(jpeg, encoding, header)
 
 
-class ImageForm(NamedTuple):
-    """Topic suffix, message type, and the function that creates the message."""
-
-    suffix: str
-    message_type: type
-    message: Callable[[ColourImage, str, Header], Any]
-
-
-_RAW = ImageForm("", Image, raw_message)
-_COMPRESSED = ImageForm("/compressed", CompressedImage, jpeg_message)
-
-IMAGE_FORMS: dict[Transport, list[ImageForm]] = {
+_RAW = ("", Image, raw_message)
+_COMPRESSED = ("/compressed", CompressedImage, jpeg_message)
+_FORMS: dict[Transport, list[tuple[str, type, Callable[[ColourImage, str, Header], Any]]]] = {
     "raw": [_RAW],
     "compressed": [_COMPRESSED],
     "both": [_RAW, _COMPRESSED],
 }
+"""Topic suffix, message type, and the function that creates the message."""
 
 
 class CameraOutputs:
@@ -71,27 +63,21 @@ class CameraOutputs:
     image_transport. `camera_info` describes the camera of the scene with depth, else that of the settings,
     if any, and is transient local. `~/truth` has the shapes of the synthetic scene with their true
     identities, `~/ground_truth_masks` their pixels. The camera sends both, and depth, before the image.
-    `forms` create the image messages, only for subscribers.
+    Messages are created only for subscribers.
 
     Raises RuntimeError or ParameterException for invalid `qos_overrides`, and SettingsError for an invalid
     `camera_info_url`.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        settings: CameraSettings,
-        *,
-        forms: Mapping[Transport, Sequence[ImageForm]] = IMAGE_FORMS,
-    ) -> None:
+    def __init__(self, node: Node, settings: CameraSettings) -> None:
         self._node = node
         self._settings = settings
         self._camera_info = settings.camera_info
         topic = node.resolve_topic_name("image_raw")
         offered = _RELIABILITIES[settings.reliability]
         self._images = [
-            (_publisher(node, form.message_type, f"{topic}{form.suffix}", reliability=offered), form.message)
-            for form in forms[settings.image_transport]
+            (_publisher(node, message_type, f"{topic}{suffix}", reliability=offered), message)
+            for suffix, message_type, message in _FORMS[settings.image_transport]
         ]
         folder = topic.rpartition("/")[0]
         latched = DurabilityPolicy.TRANSIENT_LOCAL  # late subscribers get the last one

@@ -15,7 +15,7 @@ from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
-from yolov5_lifecycle.sources.camera_info import CameraInfoError, CameraInfoValues, read_camera_info
+from yolov5_lifecycle.sources.camera_info import CameraInfoValues, read_camera_info
 from yolov5_lifecycle.sources.source import SYNTHETIC
 
 Transport = Literal["raw", "compressed", "both"]
@@ -100,7 +100,7 @@ class CameraSettings(BaseModel):
             return None
         try:
             camera_info = read_camera_info(self.camera_info_url)
-        except CameraInfoError as error:
+        except ValueError as error:
             raise SettingsError([Problem("camera_info_url", str(error))]) from None
         if self.size_hw not in (None, camera_info.size_hw):
             asked = f"{self.width} x {self.height}"

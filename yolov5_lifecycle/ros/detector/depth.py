@@ -26,7 +26,7 @@ from yolov5_lifecycle.ros.detector.image_topic import (
 )
 from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics, IntrinsicsError, intrinsics_of_message
+from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
 
@@ -229,7 +229,7 @@ class DepthInput:
         """Use these intrinsics from now on; reject those of an uncalibrated camera."""
         try:
             self._intrinsics = intrinsics_of_message(message)
-        except IntrinsicsError as error:
+        except ImageError as error:
             self.counts.rejected_camera_infos += 1
             self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self.clock()
             self.node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
