@@ -15,7 +15,7 @@ from support.colcon_workspace import REPOSITORY
 
 from fuzz.refusals import taken
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, Problems
 from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
 from yolov5_lifecycle.quantization.calibration_file import (
     CalibrationError,
@@ -31,8 +31,8 @@ _KEPT_LAYERS = 2
 
 def check_labels(data: bytes) -> None:
     """Expect boxes in the image, or a one-line error."""
-    labels = taken(partial(parsed_labels, data.decode(errors="replace"), _CLASSES), LabelError)
-    if isinstance(labels, LabelError):
+    labels = taken(partial(parsed_labels, data.decode(errors="replace"), _CLASSES), DataError)
+    if isinstance(labels, DataError):
         assert str(labels).isprintable()
         return
     _check_boxes(labels.in_pixels(_SIZE_HW), _CLASSES)

@@ -17,9 +17,8 @@ from yolov5_lifecycle.evaluation.bootstrap import (
     interval,
     resampled,
 )
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 from yolov5_lifecycle.evaluation.figures import METRICS, rows
-from yolov5_lifecycle.evaluation.matching import match
+from yolov5_lifecycle.evaluation.matching import EvaluatedImage, match
 
 THRESHOLDS = np.array((0.2, 0.4, 0.6))
 

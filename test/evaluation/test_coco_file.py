@@ -13,7 +13,7 @@ import pytest
 
 from yolov5_lifecycle.evaluation import coco_file
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, LabelledFolder, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 
 CATEGORIES = [{"id": 7, "name": "cat"}, {"id": 90, "name": "dog"}]
 BBOX = [10, 20, 30, 40.5]
@@ -56,7 +56,7 @@ def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
     boxes = found.images[0].labels.in_pixels((100, 200))
     np.testing.assert_array_equal(boxes.xyxy, [(10, 20, 40, 60.5), (0, 0, 5, 5)])
     assert (boxes.class_ids.tolist(), boxes.is_crowd.tolist()) == ([1, 0], [False, True])
-    with pytest.raises(LabelError, match="for an image of 200 x 100 pixels, found 100 x 200"):
+    with pytest.raises(DataError, match="for an image of 200 x 100 pixels, found 100 x 200"):
         found.images[0].labels.in_pixels((200, 100))
 
 
@@ -68,7 +68,7 @@ def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
 def test_a_box_outside_of_an_image_of_unknown_size_is_refused(bbox: list[int], tmp_path: Path) -> None:
     unknown = {key: value for key, value in image(1).items() if key not in ("width", "height")}
     found, _ = read(write(tmp_path, coco([unknown], [annotation(1, bbox=bbox)])))
-    with pytest.raises(LabelError, match="a label is outside of its image of 200 x 100 pixels"):
+    with pytest.raises(DataError, match="a label is outside of its image of 200 x 100 pixels"):
         found.images[0].labels.in_pixels((100, 200))
 
 

@@ -31,7 +31,6 @@ STRANGE = ("_hidden", "$x^", "猫", "a\nb\x1b[31m", "x" * 300)
         pytest.param(STRANGE, 20, id="strange names"),
         pytest.param(tuple(map(str, range(MAX_NAMED + 1))), 20, id="many classes"),
         pytest.param(tuple(map(str, range(MAX_NUMBERED + 5))), 40, id="very many classes"),
-        pytest.param(("cat", "dog"), 0, id="no images"),
     ],
 )
 def test_curves_are_pictures(names: Sequence[str], images: int, tmp_path: Path) -> None:

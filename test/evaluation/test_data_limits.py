@@ -11,7 +11,7 @@ import pytest
 
 from yolov5_lifecycle.evaluation import coco_file, yolo_folder
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES, MAX_LINES, label_text, parsed_labels
 
@@ -83,14 +83,14 @@ def test_a_folder_with_more_than_a_limit_is_refused(
 
 @pytest.mark.parametrize("text", ["\n", BOX, "\r", BOX.replace("\n", "\r\n")])
 def test_a_label_file_of_too_many_lines_is_broken(text: str) -> None:
-    with pytest.raises(LabelError, match="more than 20000 lines"):
+    with pytest.raises(DataError, match="more than 20000 lines"):
         parsed_labels(text * (MAX_LINES + 1), 1)
 
 
 def test_a_label_file_that_is_too_large_is_broken(tmp_path: Path) -> None:
     path = tmp_path / "1.txt"
     path.write_text(" " * (MAX_BYTES + 1))
-    with pytest.raises(LabelError, match="more than 4194304 bytes"):
+    with pytest.raises(DataError, match="more than 4194304 bytes"):
         label_text(path)
 
 
@@ -114,5 +114,5 @@ def test_a_coco_file_with_more_than_a_limit_is_refused(
 
 def test_progress_is_shown_while_labels_are_read(tmp_path: Path) -> None:
     shown: list[str] = []
-    read_yolo_folder(labelled_images(tmp_path, 2), Problems(lambda _: None), progress=shown.append)
+    read_yolo_folder(labelled_images(tmp_path, 2), Problems(lambda _: None, progress=shown.append))
     assert shown == ["looking for images", "labels: 0 of 2 images"]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.evaluation.evaluated import MAX_DETECTIONS, EvaluatedClasses
-from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, LabelError
+from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError
+from yolov5_lifecycle.evaluation.matching import MAX_DETECTIONS, EvaluatedClasses
 
 DATA = ("dog", "unicorn", "cat", "bird")
 FIRST = (("cat", "dog", "car", "bird"), None)
@@ -43,7 +43,7 @@ def test_only_the_best_detections_of_a_class_count() -> None:
 def test_without_names_the_ids_are_those_of_the_model() -> None:
     classes = EvaluatedClasses.shared(None, [FIRST])
     assert classes.names == FIRST[0]
-    with pytest.raises(LabelError, match="expected a class from 0 to 3, found 4"):
+    with pytest.raises(DataError, match="expected a class from 0 to 3, found 4"):
         classes.truth(Boxes.of([BOX], [4]))
     assert len(classes.truth(Boxes.of([], []))) == 0
 

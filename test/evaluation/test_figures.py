@@ -11,7 +11,6 @@ import pytest
 from support.random_evaluation import CLASS_NAMES, random_images
 from support.slow_precision import iou
 
-from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedImage
 from yolov5_lifecycle.evaluation.figures import (
     MIN_IOU,
     Counts,
@@ -21,7 +20,7 @@ from yolov5_lifecycle.evaluation.figures import (
     rows,
     sweep,
 )
-from yolov5_lifecycle.evaluation.matching import Matches, match
+from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, EvaluatedImage, Matches, match
 from yolov5_lifecycle.evaluation.thresholds import Goal, chosen_thresholds, threshold_yaml
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.data_description import read_description
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.yolo_folder import read_description
 from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
 
 FIELDS = st.one_of(
@@ -49,7 +49,7 @@ COCO = st.fixed_dictionaries(
 def test_labels_are_boxes_in_the_image_or_refused(text: str) -> None:
     try:
         boxes = parsed_labels(text, 2).in_pixels((100, 200))
-    except LabelError as error:
+    except DataError as error:
         refused = str(error)
     else:
         refused = ""

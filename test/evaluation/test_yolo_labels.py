@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, LabelError
+from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, DataError
 from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
 
 
@@ -60,7 +60,7 @@ def test_labels_are_boxes_in_pixels(
     ],
 )
 def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> None:
-    with pytest.raises(LabelError) as refused:
+    with pytest.raises(DataError) as refused:
         parsed_labels(f"0 0.5 0.5 0.2 0.2\n\n{line}\n", 2)
     assert str(refused.value).startswith("line 3: ")
     assert reason in str(refused.value)
@@ -68,7 +68,7 @@ def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> Non
 
 def test_the_number_of_objects_is_limited() -> None:
     lines = (f"0 0.5 0.5 0.2 {0.1 + number / 1e6}" for number in range(MAX_BOXES_PER_IMAGE + 1))
-    with pytest.raises(LabelError, match="more than 10000 objects"):
+    with pytest.raises(DataError, match="more than 10000 objects"):
         parsed_labels("\n".join(lines), 1)
 
 
@@ -78,7 +78,7 @@ def test_a_file_that_is_no_text_is_refused_and_a_missing_one_has_no_labels(tmp_p
     os.mkfifo(tmp_path / "pipe.txt")
     (tmp_path / "folder.txt").mkdir()
     for name in ("bytes.txt", "pipe.txt", "folder.txt"):
-        with pytest.raises(LabelError):
+        with pytest.raises(DataError):
             label_text(tmp_path / name)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
 from yolov5_lifecycle.evaluation.ground_truth import Boxes
+from yolov5_lifecycle.evaluation.matching import EvaluatedImage
 
 CLASS_NAMES = ("cat", "dog", "bird")
 SIZE_HW = (400, 500)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
+from yolov5_lifecycle.evaluation.matching import EvaluatedImage
 
 IOUS = tuple(0.5 + 0.05 * step for step in range(10))
 

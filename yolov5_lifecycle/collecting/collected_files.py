@@ -12,8 +12,8 @@ import yaml
 
 from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.collecting.record import CollectedFrame, CollectingError, FrameLine, RecordError
-from yolov5_lifecycle.evaluation.data_description import read_description
 from yolov5_lifecycle.evaluation.ground_truth import MAX_IMAGES, DataError
+from yolov5_lifecycle.evaluation.yolo_folder import read_description
 from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES as MAX_LABEL_BYTES
 from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES
 from yolov5_lifecycle.unfinished import open_itself

@@ -17,7 +17,7 @@ from yolov5_lifecycle.collecting.collected_files import (
     write_frame_list,
 )
 from yolov5_lifecycle.collecting.record import CollectingError, FrameLine
-from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, LabelError, check_count
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, DataError, check_count
 from yolov5_lifecycle.evaluation.yolo_labels import label_text, objects_in
 
 
@@ -66,7 +66,7 @@ def _copy(folder: Path, output: Path, line: FrameLine, class_ids: Sequence[int])
         path.parent.mkdir(parents=True, exist_ok=True)
     try:
         objects = objects_in(label_text(folder / line.labels) or "", len(class_ids))
-    except LabelError as error:
+    except DataError as error:
         raise CollectingError(f"{folder / line.labels}: {error}; correct it") from None
     rows = ((class_ids[class_id], *values) for class_id, values in objects)
     (output / line.labels).write_text("".join(f"{' '.join(map(str, row))}\n" for row in rows))

@@ -26,7 +26,7 @@ from support.evaluated_offline import (
 from support.onnx_exports import small_export
 
 from yolov5_lifecycle.detection.selection import selection
-from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE
+from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import Settings

@@ -12,7 +12,7 @@ from support.evaluated_offline import evaluate, labelled_drive, report_of
 from support.recorded_scene import TOPIC
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
-from yolov5_lifecycle.offline.evaluate import labelled_recording
+from yolov5_lifecycle.offline.evaluate import labelled_data
 from yolov5_lifecycle.offline.recording import Recording
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -116,7 +116,7 @@ def test_class_names_of_label_info_are_limited(
 def test_labels_of_a_recording_are_limited_in_total(
     name: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(labelled_recording, name, 2)
+    monkeypatch.setattr(labelled_data, name, 2)
     assert evaluate(labelled_drive(tmp_path / "drive")) == 1
     assert told in capsys.readouterr().err
 
