@@ -132,10 +132,12 @@ def test_of_the_frames_of_some_minutes_the_best_are_kept(
     disk: Disk, per_minute: float, step_s: float, kept: list[float]
 ) -> None:
     few, pace, disk.clock.step_s = rules(per_minute=per_minute), Pace(), step_s
+    disk.quota = replace(QUOTA, max_frames=len(kept))  # full at the same time
     for seed, value in enumerate([5, 4, 7, 6, 8, 9]):
         reasons = {Trigger.UNUSUAL: Detail("", value / 10)}
         disk.collector.offer(candidate(seed, rules=few, pace=pace, reasons=reasons))
     assert [frame.value for frame in disk.settled()] == kept
+    assert disk.collector.status.dropped == 0
 
 
 def test_a_slow_disk_delays_no_frame_and_what_is_lost_is_counted(disk: Disk) -> None:

@@ -139,7 +139,7 @@ class Collector:
         record = candidate.record(folder.session.new_path(rules.camera), reasons)
         rival = None if candidate.is_requested else _rival(candidate, folder, now_s)
         if (rival is None or rival.value < record.value) and folder.add(record, candidate.jpeg(), labels):
-            if rival is not None:
+            if rival is not None and folder.lines_of([rival.image]):  # a full folder may have removed it
                 folder.remove(rival)
             candidate.pace.keep(record.image, now_s)
             self._count("kept")
