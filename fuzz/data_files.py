@@ -15,13 +15,13 @@ from support.colcon_workspace import REPOSITORY
 
 from fuzz.refusals import taken
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, LabelError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import Boxes, DataError, Problems
 from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
 from yolov5_lifecycle.quantization.calibration_file import (
-    CalibrationError,
     read_calibration,
     write_calibration,
 )
+from yolov5_lifecycle.runtimes.quantization import QuantizationError
 
 _SIZE_HW = (100, 200)
 _CLASSES = 3
@@ -31,8 +31,8 @@ _KEPT_LAYERS = 2
 
 def check_labels(data: bytes) -> None:
     """Expect boxes in the image, or a one-line error."""
-    labels = taken(partial(parsed_labels, data.decode(errors="replace"), _CLASSES), LabelError)
-    if isinstance(labels, LabelError):
+    labels = taken(partial(parsed_labels, data.decode(errors="replace"), _CLASSES), DataError)
+    if isinstance(labels, DataError):
         assert str(labels).isprintable()
         return
     _check_boxes(labels.in_pixels(_SIZE_HW), _CLASSES)
@@ -53,8 +53,8 @@ def check_coco_file(data: bytes) -> None:
 def check_calibration(data: bytes) -> None:
     """Expect a calibration with ordered ranges, or a one-line error."""
     path = _written("best.calibration.json", data)
-    calibration = taken(partial(read_calibration, path), CalibrationError)
-    if isinstance(calibration, CalibrationError):
+    calibration = taken(partial(read_calibration, path), QuantizationError)
+    if isinstance(calibration, QuantizationError):
         assert str(calibration).isprintable()
         return
     assert all(low <= 0 <= high and low < high for low, high in calibration.ranges.values())

@@ -15,9 +15,8 @@ from support.colcon_workspace import REPOSITORY
 from support.recorded_scene import record, text
 
 from fuzz.refusals import taken
-from yolov5_lifecycle.evaluation.data_description import read_description
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, DataError, Problems
-from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+from yolov5_lifecycle.evaluation.yolo_folder import read_description, read_yolo_folder
 from yolov5_lifecycle.offline.recording import Recording, RecordingError, open_recording
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file

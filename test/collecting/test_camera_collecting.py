@@ -1,4 +1,4 @@
-"""When a frame of a camera is looked at, and what is offered."""
+"""When a frame of a camera is looked at, what makes it worth keeping, and what is offered."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.candidates import CAT, SIZE_HW, look_of, rules
+from support.candidates import CAT, SIZE_HW, found, look_of, rules
 
 from yolov5_lifecycle.collecting.camera_collecting import LOOK_PERIOD_S, CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.collecting.descriptors import MIN_IMAGES
+from yolov5_lifecycle.collecting.triggers import GAP_S, Detail, Trigger, value_of
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.images.image import ColourImage
 
 IMAGE = ColourImage(np.zeros((*SIZE_HW, 3), np.uint8), "bgr")
@@ -66,21 +67,19 @@ def test_frames_are_looked_at_five_times_a_second_at_most() -> None:
 
 
 def test_in_the_gap_after_a_kept_frame_none_is_looked_at() -> None:
-    camera = Camera(per_minute=60.0)
+    camera = Camera()
     camera.frame()
-    camera.offered.candidates[0].pace.kept_s = camera.now_s
-    for _ in range(29):
+    camera.collecting.pace.keep("1.jpg", camera.now_s)
+    for _ in range(2):
+        camera.now_s += 0.6 * GAP_S
         camera.frame()
-    assert camera.looks == [True] + [False] * 29
-    for _ in range(5):
-        camera.frame()
-    assert sum(camera.looks) == 2
+    assert camera.looks == [True, False, True]
 
 
 def test_a_frame_that_is_asked_for_is_looked_at_in_the_gap_and_once() -> None:
     camera = Camera(reasons=())
     camera.frame()
-    camera.collecting.pace.kept_s = camera.now_s
+    camera.collecting.pace.keep("1.jpg", camera.now_s)
     camera.collecting.request()
     camera.frame()
     camera.frame()
@@ -122,3 +121,83 @@ def test_new_rules_count_from_the_next_frame_on() -> None:
     for _ in range(9):
         camera.frame()
     assert camera.reasons == [{"class": "cat"}]
+
+
+BOX = (20, 15, 40, 35)
+DOG_AT_07 = Selection(class_thresholds=((1, 0.7),))
+
+
+@pytest.mark.parametrize(
+    ("changes", "detections", "expected"),
+    [
+        pytest.param({}, found(), {}, id="nothing found"),
+        pytest.param(
+            {}, found(("cat", 0.3, BOX)), {"uncertain": "cat 0.30, threshold 0.25"}, id="just above"
+        ),
+        pytest.param(
+            {}, found(("cat", 0.2, BOX)), {"uncertain": "cat 0.20, threshold 0.25"}, id="just below"
+        ),
+        pytest.param({"reasons": ("novel",)}, found(("cat", 0.25, BOX)), {}, id="nobody asked"),
+        pytest.param(
+            {},
+            found(("cat", 0.9, BOX), ("dog", 0.3, BOX), ("dog", 0.24, BOX)),
+            {"uncertain": "dog 0.24, threshold 0.25, and 1 more"},
+            id="the closest",
+        ),
+        pytest.param(
+            {"selection": DOG_AT_07},
+            found(("dog", 0.65, BOX), ("cat", 0.6, BOX)),
+            {"uncertain": "dog 0.65, threshold 0.7"},
+            id="the threshold of its class",
+        ),
+        pytest.param({"reasons": ("class: dog",)}, found(("dog", 0.9, BOX)), {"class": "dog"}, id="a class"),
+        pytest.param({"reasons": ("class: dog",)}, found(("cat", 0.9, BOX)), {}, id="another class"),
+        pytest.param({"reasons": ("class: dog",)}, found(("dog", 0.2, BOX)), {}, id="not published"),
+    ],
+)
+def test_a_frame_has_its_reasons(
+    changes: dict[str, object], detections: Detections, expected: dict[str, str]
+) -> None:
+    reasons = {trigger.value: detail.words for trigger, detail in rules(**changes).reasons(detections)}
+    assert reasons == expected
+
+
+def test_the_lower_the_scores_are_the_stronger_is_the_doubt() -> None:
+    sure = found(("cat", 0.9, BOX), ("cat", 0.9, BOX), ("dog", 0.3, BOX))
+    unsure = found(("cat", 0.5, BOX), ("cat", 0.4, BOX), ("dog", 0.3, BOX))
+    strengths = [detail.strength for each in (sure, unsure) for _, detail in rules().reasons(each)]
+    assert strengths == pytest.approx([0.3, 0.6])
+
+
+def test_an_image_is_worth_what_its_best_reason_is() -> None:
+    doubt, novelty = {Trigger.UNCERTAIN: Detail("", 0.5)}, {Trigger.NOVEL: Detail("")}
+    assert value_of({**doubt, **novelty}) == value_of(doubt) > value_of(novelty)
+    order = (Trigger.REQUESTED, Trigger.CLASS, Trigger.UNCERTAIN, Trigger.NOVEL)
+    values = [value_of({trigger: Detail("")}) for trigger in order]
+    assert values == sorted(values, reverse=True)
+
+
+def test_a_look_finds_more_and_reports_what_the_selection_does() -> None:
+    extended = rules(selection=DOG_AT_07).extended(DOG_AT_07)
+    assert extended.extra_threshold == pytest.approx(0.15)
+    assert extended.with_embedding
+    assert not extended.with_masks
+    assert rules(segments=True).extended(DOG_AT_07).with_masks
+    scores, classes = np.array([0.65, 0.3], np.float32), np.array([1, 0], np.int64)
+    assert extended.admits(scores, classes).tolist() == DOG_AT_07.admits(scores, classes).tolist()
+    assert rules(reasons=()).extended(Selection()).extra_threshold == 0.25
+
+
+@pytest.mark.parametrize("threshold", [0.0, 0.1, 0.14])
+def test_a_look_does_not_search_in_the_noise(threshold: float) -> None:
+    found_with = rules(selection=Selection(confidence_threshold=threshold)).extended(Selection())
+    assert found_with.extra_threshold == WORTH_TELLING
+
+
+def test_a_tracker_keeps_its_lower_threshold() -> None:
+    assert rules().extended(Selection().wider(0.05)).extra_threshold == 0.05
+
+
+def test_a_class_that_the_model_does_not_have_is_refused() -> None:
+    with pytest.raises(ValueError, match="bird"):
+        [*rules(reasons=("class: bird",)).reasons(found())]

@@ -14,10 +14,9 @@ from support.candidates import candidate, look_of, rules
 
 from yolov5_lifecycle.collecting import collector as module
 from yolov5_lifecycle.collecting.candidate import Origin
-from yolov5_lifecycle.collecting.collected_files import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import CollectedFrame, read_frame_list
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
-from yolov5_lifecycle.collecting.record import CollectedFrame
 from yolov5_lifecycle.collecting.triggers import Detail, Pace, Trigger
 from yolov5_lifecycle.images.image import ColourImage
 
@@ -93,11 +92,6 @@ def test_a_frame_without_reason_is_kept_only_if_it_is_novel(disk: Disk) -> None:
     assert "distance" in kept[1].reasons["novel"]
 
 
-def test_without_the_search_for_novel_images_such_a_frame_is_not_kept(disk: Disk) -> None:
-    disk.collector.offer(candidate(reasons={}, rules=rules(reasons=())))
-    assert disk.settled() == ()
-
-
 def test_a_frame_without_a_look_is_never_novel(disk: Disk) -> None:
     """That of an export to ONNX, whose features nobody knows."""
     disk.collector.offer(candidate(reasons={}, embedding=np.empty(0, np.float32)))
@@ -110,25 +104,40 @@ def test_near_duplicates_are_not_kept_unless_somebody_asked_for_them(disk: Disk)
     disk.collector.offer(candidate(embedding=look_of(0)))
     disk.collector.offer(candidate(embedding=near))
     disk.collector.offer(candidate(embedding=near, reasons={Trigger.REQUESTED: Detail("~/collect")}))
-    assert [next(iter(frame.reasons)) for frame in disk.settled()] == ["class", "requested"]
-    assert (disk.collector.status.kept, disk.collector.status.duplicates) == (2, 1)
-
-
-def test_an_image_that_shows_something_else_to_a_model_that_sees_no_difference_is_no_duplicate(
-    disk: Disk,
-) -> None:
-    disk.collector.offer(candidate(0, embedding=look_of(0)))
-    disk.collector.offer(candidate(1, embedding=look_of(0)))
-    assert len(disk.settled()) == 2
+    disk.collector.offer(candidate(1, embedding=near))  # another picture, as the model does not see
+    assert [next(iter(frame.reasons)) for frame in disk.settled()] == ["class", "requested", "class"]
+    assert (disk.collector.status.kept, disk.collector.status.duplicates) == (3, 1)
 
 
 def test_frames_of_a_camera_have_a_gap_between_them_and_those_of_others_do_not_count(disk: Disk) -> None:
-    slow, front, rear = rules(per_minute=30.0), Pace(), Pace()
-    disk.collector.offer(candidate(0, rules=slow, pace=front))
-    disk.collector.offer(candidate(1, rules=slow, pace=front))
-    disk.collector.offer(candidate(2, rules=slow, pace=rear))
-    disk.collector.offer(candidate(3, rules=slow, pace=front, reasons={Trigger.REQUESTED: Detail("")}))
+    front, rear = Pace(), Pace()
+    disk.collector.offer(candidate(0, pace=front))
+    disk.collector.offer(candidate(1, pace=front))
+    disk.collector.offer(candidate(2, pace=rear))
+    disk.collector.offer(candidate(3, pace=front, reasons={Trigger.REQUESTED: Detail("")}))
     assert len(disk.settled()) == 3
+
+
+@pytest.mark.parametrize(
+    ("per_minute", "step_s", "kept"),
+    [
+        pytest.param(0.0, 10.0, [5, 4, 7, 6, 8, 9], id="no limit"),
+        pytest.param(0.6, 10.0, [7, 8, 9], id="the best of five minutes"),
+        pytest.param(0.6, 125.0, [5, 4, 7, 6, 8, 9], id="fewer in five minutes"),
+        pytest.param(0.3, 10.0, [8, 9], id="the best of 400 s"),
+        pytest.param(0.1, 150.0, [9], id="the best of ten minutes"),
+    ],
+)
+def test_of_the_frames_of_some_minutes_the_best_are_kept(
+    disk: Disk, per_minute: float, step_s: float, kept: list[float]
+) -> None:
+    few, pace, disk.clock.step_s = rules(per_minute=per_minute), Pace(), step_s
+    disk.quota = replace(QUOTA, max_frames=len(kept))  # full at the same time
+    for seed, value in enumerate([5, 4, 7, 6, 8, 9]):
+        reasons = {Trigger.UNUSUAL: Detail("", value / 10)}
+        disk.collector.offer(candidate(seed, rules=few, pace=pace, reasons=reasons))
+    assert [frame.value for frame in disk.settled()] == kept
+    assert disk.collector.status.dropped == 0
 
 
 def test_a_slow_disk_delays_no_frame_and_what_is_lost_is_counted(disk: Disk) -> None:
@@ -192,13 +201,6 @@ def test_a_disk_that_fails_is_left_alone_for_a_while_and_then_used_again(disk: D
     assert [frame.image[-10:] for frame in disk.settled()] == ["000001.jpg"]
     assert (disk.collector.status.dropped, disk.collector.status.kept) == (2, 1)
     assert disk.collector.status.problem == ""
-
-
-def test_after_the_end_nothing_is_taken(disk: Disk) -> None:
-    assert disk.collector.close(PATIENCE_S)
-    disk.collector.offer(candidate())
-    assert disk.collector.status.dropped == 1
-    assert disk.settled() == ()
 
 
 def test_a_disk_that_hangs_does_not_keep_the_process(disk: Disk) -> None:

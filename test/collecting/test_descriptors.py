@@ -25,7 +25,7 @@ from yolov5_lifecycle.collecting.descriptors import (
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import Scene
 
-SIZES_HW = [(240, 320), (720, 1280), (2160, 3840)]
+SIZES_HW = [(240, 320), (2160, 3840)]
 Pixels = NDArray[np.uint8]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+import time
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -10,10 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from yolov5_lifecycle.evaluation import coco_file
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, LabelledFolder, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 
 CATEGORIES = [{"id": 7, "name": "cat"}, {"id": 90, "name": "dog"}]
 BBOX = [10, 20, 30, 40.5]
@@ -56,19 +60,15 @@ def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
     boxes = found.images[0].labels.in_pixels((100, 200))
     np.testing.assert_array_equal(boxes.xyxy, [(10, 20, 40, 60.5), (0, 0, 5, 5)])
     assert (boxes.class_ids.tolist(), boxes.is_crowd.tolist()) == ([1, 0], [False, True])
-    with pytest.raises(LabelError, match="for an image of 200 x 100 pixels, found 100 x 200"):
+    with pytest.raises(DataError, match="for an image of 200 x 100 pixels, found 100 x 200"):
         found.images[0].labels.in_pixels((200, 100))
 
 
-@pytest.mark.parametrize(
-    "bbox",
-    [[200, 20, 5, 5], [20, 100, 5, 5], [-9, 20, 5, 5], [20, -9, 5, 9]],
-    ids=["right", "below", "left", "above"],
-)
+@pytest.mark.parametrize("bbox", [[20, 100, 5, 5], [-9, 20, 9, 5]], ids=["below", "left"])
 def test_a_box_outside_of_an_image_of_unknown_size_is_refused(bbox: list[int], tmp_path: Path) -> None:
     unknown = {key: value for key, value in image(1).items() if key not in ("width", "height")}
     found, _ = read(write(tmp_path, coco([unknown], [annotation(1, bbox=bbox)])))
-    with pytest.raises(LabelError, match="a label is outside of its image of 200 x 100 pixels"):
+    with pytest.raises(DataError, match="a label is outside of its image of 200 x 100 pixels"):
         found.images[0].labels.in_pixels((100, 200))
 
 
@@ -103,15 +103,11 @@ def test_the_root_says_where_the_images_are(tmp_path: Path) -> None:
     ("changed", "reason"),
     [
         pytest.param({"bbox": [1, 2, 3]}, "a bbox of 4 numbers, found a list", id="too short"),
-        pytest.param({"bbox": None}, "a bbox of 4 numbers, found None", id="no box"),
         pytest.param({"bbox": ["1", 2, 3, 4]}, "a bbox of 4 numbers", id="text"),
         pytest.param({"bbox": [1, 2, 0, 4]}, "a width and height above 0", id="no width"),
-        pytest.param({"bbox": [1, 2, -3, 4]}, "a width and height above 0", id="negative"),
         pytest.param({"bbox": [float("nan"), 2, 3, 4]}, "expected pixels", id="NaN"),
-        pytest.param({"bbox": [float("inf"), 2, 3, 4]}, "expected pixels", id="infinity"),
         pytest.param({"bbox": [10**300, 2, 3, 4]}, "expected pixels", id="huge"),
         pytest.param({"category_id": 1}, "the id of a category, found 1", id="unknown class"),
-        pytest.param({"category_id": "dog"}, "the id of a category, found 'dog'", id="name"),
         pytest.param({"category_id": [[]]}, "the id of a category, found a list", id="list"),
     ],
 )
@@ -130,13 +126,9 @@ def test_an_image_with_a_broken_annotation_is_set_aside(
     "record",
     [
         pytest.param(None, id="null"),
-        pytest.param([[[]]], id="list"),
         pytest.param(image(1), id="id twice"),
-        pytest.param(image(3, file_name=4), id="number as name"),
         pytest.param(image(3, file_name="3.gif"), id="another format"),
-        pytest.param(image(3, file_name=""), id="no name"),
         pytest.param(image(3, file_name="../3.jpg"), id="traversal"),
-        pytest.param(image(3, file_name="/etc/3.jpg"), id="absolute"),
         pytest.param(image(3, file_name="a\0.jpg"), id="null character"),
         pytest.param(image(3, file_name="x" * 9000 + ".jpg"), id="long name"),
         pytest.param(image("3"), id="text as id"),  # type: ignore[arg-type]
@@ -152,8 +144,6 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        pytest.param("", "expected JSON", id="empty"),
-        pytest.param("{", "expected JSON", id="cut off"),
         pytest.param("[" * 100_000, "expected JSON", id="deep"),
         pytest.param('{"images": ' + "9" * 5000 + "}", "expected JSON", id="long number"),
         pytest.param("[]", "COCO's lists images, annotations, categories", id="list"),
@@ -168,7 +158,6 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
         ),
         pytest.param(coco([image(1, file_name="../there/1.jpg")], []), r"lies outside of [^;]*$", id="above"),
         pytest.param(coco([image(1)], []), "no image has labels that can be used", id="no objects"),
-        pytest.param(coco([image(1)], [annotation(1)], []), "no image has labels", id="no classes"),
     ],
 )
 def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason: str, tmp_path: Path) -> None:
@@ -195,6 +184,17 @@ def test_a_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
 def test_numbers_that_python_takes_for_equal_are_no_ids(tmp_path: Path) -> None:
     images = [image(1), *(image(number << 61) for number in range(1, 4))]
     assert len(read(write(tmp_path, coco(images, [annotation(1)])))[0].images) == 1
+
+
+def test_ids_of_annotations_that_have_one_hash_cost_no_more_than_others(tmp_path: Path) -> None:
+    taken_s = []
+    for factor in (1, sys.hash_info.modulus):
+        records = [annotation(number * factor) for number in range(2, 4000)]
+        path = write(tmp_path, coco([image(1)], [annotation(1), *records]))
+        begun_s = time.process_time()
+        assert len(read(path)[0].images) == 1
+        taken_s.append(time.process_time() - begun_s)
+    assert taken_s[1] < 5 * taken_s[0]
 
 
 @pytest.mark.parametrize(
@@ -228,3 +228,67 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(coco_file, "MAX_BYTES", 50)
     with pytest.raises(DataError, match="more than 50 bytes"):
         read(write(tmp_path, "[" * 51))
+
+
+@pytest.mark.parametrize(
+    ("name", "key"), [("MAX_IMAGES", "images"), ("MAX_OBJECTS", "annotations"), ("MAX_CLASSES", "categories")]
+)
+def test_a_file_with_more_than_a_limit_is_refused(
+    name: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coco_file, name, 4)
+    with pytest.raises(DataError, match=f"expected at most 4 {key}, found 5"):
+        read(write(tmp_path, {**coco([], [], []), key: [1] * 5}))
+
+
+@pytest.mark.parametrize("depth", [900, 20_000])
+def test_json_nested_in_a_record_is_refused_or_read_by_its_surface(depth: int, tmp_path: Path) -> None:
+    nested = "[" * depth + "]" * depth
+    content = f'{{"images": [{nested}], "annotations": [{nested}], "categories": [{nested}]}}'
+    with pytest.raises(DataError):
+        read(write(tmp_path, content), tmp_path)
+
+
+SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))
+VALUES = st.recursive(
+    SCALARS,
+    lambda below: st.lists(below, max_size=5) | st.dictionaries(st.text(max_size=4), below, max_size=4),
+    max_leaves=10,
+)
+NUMBERS = st.one_of(st.integers(0, 3), VALUES)
+
+
+def records(**fields: st.SearchStrategy[Any]) -> st.SearchStrategy[list[Any]]:
+    return st.lists(st.one_of(st.fixed_dictionaries(fields), VALUES), max_size=6)
+
+
+COCO = st.fixed_dictionaries(
+    {
+        "images": records(id=NUMBERS, file_name=st.just("1.jpg") | VALUES, height=NUMBERS, width=NUMBERS),
+        "annotations": records(
+            image_id=NUMBERS, category_id=NUMBERS, bbox=st.lists(NUMBERS, max_size=5) | VALUES, iscrowd=VALUES
+        ),
+        "categories": records(id=NUMBERS, name=st.sampled_from(["cat", "dog"]) | VALUES),
+    }
+)
+
+
+@pytest.mark.long
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(content=COCO)
+def test_a_coco_file_has_boxes_of_known_classes_or_is_refused(content: object, tmp_path: Path) -> None:
+    path = write(tmp_path, json.dumps(content))
+    told: list[str] = []
+    try:
+        folder = read_coco_file(path, Problems(told.append), root=tmp_path)
+    except DataError as error:
+        refused = str(error)
+    else:
+        refused = ""
+        assert folder.class_names is not None
+        for image in folder.images:
+            boxes = image.labels.boxes
+            assert (boxes.xyxy[:, :2] < boxes.xyxy[:, 2:]).all()
+            assert boxes.class_ids.max(initial=0) < len(folder.class_names)
+    assert not refused or refused.startswith(f"{path}: ")
+    assert all(text.isprintable() for text in told)

@@ -1,13 +1,20 @@
-"""Folders in YOLO format: what belongs to the data set, and that nothing outside of it is read."""
+"""Data sets in YOLO format: what belongs to them, labels, and that nothing outside of them is read."""
 
 from __future__ import annotations
 
+import codecs
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
+from yolov5_lifecycle.evaluation import yolo_folder
+from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, DataError, LabelledFolder, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES, MAX_LINES, label_text, parsed_labels
 
 BOX = "0 0.5 0.5 0.2 0.2\n"
 NAMES = "names: [cat, dog]\n"
@@ -37,7 +44,8 @@ class Told:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.problems = Problems(self.lines.append)
+        self.steps: list[str] = []
+        self.problems = Problems(self.lines.append, progress=self.steps.append)
 
     def read(self, data: Path, split: str | None = None, root: Path | None = None) -> LabelledFolder:
         return read_yolo_folder(data, self.problems, split=split, root=root)
@@ -54,10 +62,8 @@ class Told:
     ("description", "labelled", "found"),
     [
         pytest.param(None, "images/1 images/a/2", "images/1.jpg images/a/2.jpg", id="no yaml"),
-        pytest.param("", "images/1", "images/1.jpg", id="no entries"),
         pytest.param(None, "1 a/2", "1.jpg a/2.jpg", id="no yaml, labels beside images"),
         pytest.param("val: images/val\ntrain: images/train\n", SPLIT, "images/val/1.jpg", id="val"),
-        pytest.param("train: images/train\nval:\n", SPLIT, "images/train/2.jpg", id="val empty"),
         pytest.param("path: ~\ntrain: images/train\nval: null\n", SPLIT, "images/train/2.jpg", id="val null"),
         pytest.param("val: [images/val, images/train]\n", SPLIT, BOTH, id="several"),
         pytest.param("path: below\nval: images\n", "below/images/1", "below/images/1.jpg", id="path"),
@@ -80,8 +86,8 @@ def test_the_images_are_those_of_the_entry(
 ) -> None:
     text = None if description is None else description + NAMES
     data = data_set(tmp_path / "data", text, *labelled.split())
-    for given in (data, data / "data.yaml") if text else (data,):
-        assert Told().names(given) == found.split()
+    for path in (data, data / "data.yaml") if text else (data,):
+        assert Told().names(path) == found.split()
 
 
 def test_the_split_chooses_the_entry(tmp_path: Path) -> None:
@@ -164,9 +170,6 @@ def test_the_root_is_not_advised_for_a_file_that_does_not_exist(line: str, tmp_p
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
-        pytest.param("names: [cat, dog]", ("cat", "dog"), id="list"),
-        pytest.param("names:\n- cat\n- dog", ("cat", "dog"), id="lines"),
-        pytest.param("names: {0: cat, 1: dog}", ("cat", "dog"), id="mapping"),
         pytest.param("names: {1: dog, 0: cat}", ("cat", "dog"), id="mapping in disorder"),
         pytest.param("names: [no, 1]", ("False", "1"), id="words of YAML"),
         pytest.param("names: ['no', \"1\"]", ("no", "1"), id="words in quotes"),
@@ -200,6 +203,7 @@ def test_what_is_broken_is_listed_and_the_rest_is_read(tmp_path: Path) -> None:
     assert told.lines[0].startswith("broken labels: ")
     assert "labels/00.txt: line 1: expected a class from 0 to 1, found 7" in told.lines[0]
     assert told.lines[-1] == "further problems are only counted"
+    assert told.steps == ["looking for images", "labels: 0 of 20 images"]
 
 
 def aliases(depth: int) -> str:
@@ -217,17 +221,12 @@ def aliases(depth: int) -> str:
         pytest.param("x: " + "x" * (1 << 21), "1048576 bytes, the limit", id="large"),
         pytest.param("[1, 2]", "expected names and values", id="list"),
         pytest.param("just text", "expected names and values", id="text"),
-        pytest.param("a: [", "line 2", id="broken"),
-        pytest.param("names: {cat: 0}", "numbered from 0 to 9999, found 'cat'", id="no ids"),
         pytest.param("names: {0: cat, 10000: dog}", "numbered from 0 to 9999, found 10000", id="huge id"),
         pytest.param("names: [" + "x, " * 10_001 + "]", "of 0 to 10000 classes, found 10001", id="many"),
-        pytest.param("names: cat", "must be a list", id="one name"),
         pytest.param("names: [[cat]]", "strings or numbers, found a list", id="nested names"),
         pytest.param("val: {a: b}", "must be paths", id="mapping as path"),
         pytest.param("val: ../../etc\nnames: [cat]", "there are no images", id="traversal"),
-        pytest.param("val: /etc\nnames: [cat]", "there are no images", id="absolute"),
         pytest.param("val: missing\nnames: [cat]", "there are no images", id="missing"),
-        pytest.param(f"val: {'x' * 300}\nnames: [cat]", "there are no images", id="long name"),
         pytest.param("", "none of 1 images has a label file", id="no labels"),
     ],
 )
@@ -260,3 +259,149 @@ def test_the_root_widens_what_may_be_read(tmp_path: Path) -> None:
     (image,) = Told().read(data, root=tmp_path).images
     assert image.path == tmp_path / "images" / "1.jpg"
     assert len(image.labels.boxes) == 1
+
+
+def test_a_repeated_line_is_read_once_and_a_repeated_list_too(tmp_path: Path) -> None:
+    data = data_set(tmp_path, f"val: [{', '.join(['val.txt'] * 1000)}]\n", "images/0")
+    (data / "val.txt").write_text("images/0.jpg\n" * 1000)
+    assert Told().names(data) == ["images/0.jpg"]
+
+
+def test_the_lines_of_all_lists_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(yolo_folder, "MAX_IMAGES", 4)
+    data = data_set(tmp_path, "val: [a.txt, b.txt]\n", "images/0")
+    for name in ("a.txt", "b.txt"):
+        (data / name).write_text("images/0.jpg\n" * 3)
+    with pytest.raises(DataError, match=r"b\.txt: expected at most 4 lines in the lists of images, found 6"):
+        Told().read(data)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("MAX_IMAGES", "expected at most 4 images in a data set, found 5"),
+        ("MAX_OBJECTS", "expected at most 4 objects in a data set, found 5"),
+        ("MAX_LABEL_CHARACTERS", "expected at most 4 characters in label files, found 18"),
+    ],
+)
+def test_a_folder_with_more_than_a_limit_is_refused(
+    name: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(yolo_folder, name, 4)
+    with pytest.raises(DataError, match=told):
+        Told().read(data_set(tmp_path, None, *(f"images/{number}" for number in range(5))))
+
+
+@pytest.mark.parametrize("text", [BOX, "\r"])
+def test_a_label_file_of_too_many_lines_is_broken(text: str) -> None:
+    with pytest.raises(DataError, match="more than 20000 lines"):
+        parsed_labels(text * (MAX_LINES + 1), 1)
+
+
+def test_a_label_file_that_is_too_large_is_broken(tmp_path: Path) -> None:
+    path = tmp_path / "1.txt"
+    path.write_text(" " * (MAX_BYTES + 1))
+    with pytest.raises(DataError, match="more than 4194304 bytes"):
+        label_text(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "class_ids", "corners"),
+    [
+        pytest.param("", [], [], id="empty"),
+        pytest.param("1 0.5 0.5 0.2 0.4", [1], [(40, 60, 60, 140)], id="box"),
+        pytest.param("1.0 0.5 0.5 0.2 0.4\r\n", [1], [(40, 60, 60, 140)], id="class as a float"),
+        pytest.param("0 0.1 0.1 0.3 0.1 0.2 0.4", [0], [(10, 20, 30, 80)], id="polygon"),
+        pytest.param("0 0.05 0.5 0.2 1", [0], [(0, 0, 15, 200)], id="beyond the image"),
+        pytest.param("0 0.5 0.5 1.00001 1", [0], [(0, 0, 100, 200)], id="rounded"),
+        pytest.param(
+            "0 0.5 0.5 0.2 0.4\n1 0.5 0.5 0.2 0.4\n0 0.5 0.5 0.2 0.4",
+            [0, 1],
+            [(40, 60, 60, 140)] * 2,
+            id="equal lines",
+        ),
+    ],
+)
+def test_labels_are_boxes_in_pixels(
+    text: str, class_ids: list[int], corners: list[tuple[int, int, int, int]]
+) -> None:
+    boxes = parsed_labels(text, 2).in_pixels((200, 100))
+    assert boxes.class_ids.tolist() == class_ids
+    np.testing.assert_allclose(boxes.xyxy, np.array(corners).reshape(-1, 4), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        pytest.param("0 0.5 0.5 0.2", "found 4 fields", id="too few"),
+        pytest.param("0 0.1 0.1 0.2 0.2 0.3 0.3 0.4", "found 8 fields", id="half a point"),
+        pytest.param("2 0.5 0.5 0.2 0.2", "a class from 0 to 1, found 2", id="unknown class"),
+        pytest.param("-1 0.5 0.5 0.2 0.2", "found -1", id="negative class"),
+        pytest.param("0.5 0.5 0.5 0.2 0.2", "found 0.5", id="half a class"),
+        pytest.param("1e400 0.5 0.5 0.2 0.2", "expected numbers", id="infinite class"),
+        pytest.param("cat 0.5 0.5 0.2 0.2", "expected numbers, found 'cat'", id="name"),
+        pytest.param("0 nan 0.5 0.2 0.2", "expected numbers, found 'nan'", id="NaN"),
+        pytest.param("0 1.5 0.5 0.2 0.2", "from 0 to 1, found 1.5", id="beyond 1"),
+        pytest.param("0 0.5 -0.5 0.2 0.2", "from 0 to 1, found -0.5", id="below 0"),
+        pytest.param("0 0.1 0.1 0.1 0.2 0.1 0.3", "no area", id="flat polygon"),
+    ],
+)
+def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> None:
+    with pytest.raises(DataError) as refused:
+        parsed_labels(f"0 0.5 0.5 0.2 0.2\n\n{line}\n", 2)
+    assert str(refused.value).startswith("line 3: ")
+    assert reason in str(refused.value)
+
+
+def test_the_number_of_objects_is_limited() -> None:
+    lines = (f"0 0.5 0.5 0.2 {0.1 + number / 1e6}" for number in range(MAX_BOXES_PER_IMAGE + 1))
+    with pytest.raises(DataError, match="more than 10000 objects"):
+        parsed_labels("\n".join(lines), 1)
+
+
+def test_a_file_that_is_no_text_is_refused_and_a_missing_one_has_no_labels(tmp_path: Path) -> None:
+    assert label_text(tmp_path / "missing.txt") is None
+    (tmp_path / "bytes.txt").write_bytes(b"\xff\xfe0 0.5")
+    os.mkfifo(tmp_path / "pipe.txt")
+    (tmp_path / "folder.txt").mkdir()
+    for name in ("bytes.txt", "pipe.txt", "folder.txt"):
+        with pytest.raises(DataError):
+            label_text(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(codecs.BOM_UTF8 + b"1 0.5", id="UTF-8"),
+        pytest.param(b"1 " + codecs.BOM_UTF8 + b"0.5", id="joined files"),
+        pytest.param(codecs.BOM_UTF16_LE + "1 0.5".encode("utf-16-le"), id="UTF-16"),
+    ],
+)
+def test_a_byte_order_mark_is_no_part_of_a_label(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "1.txt").write_bytes(content)
+    assert label_text(tmp_path / "1.txt") == "1 0.5"
+
+
+FIELDS = st.one_of(
+    st.sampled_from(["0", "1", "-1", "0.5", "1.0", "nan", "1e999", "0x1", "\ufeff0", "٣", "0_1"]),
+    st.floats().map(str),
+    st.text(max_size=5),
+)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.lists(FIELDS, max_size=9).map(" ".join), max_size=4).map("\n".join))
+def test_labels_are_boxes_in_the_image_or_refused(text: str) -> None:
+    try:
+        boxes = parsed_labels(text, 2).in_pixels((100, 200))
+    except DataError as error:
+        refused = str(error)
+    else:
+        refused = ""
+        assert np.isfinite(boxes.xyxy).all()
+        assert (boxes.xyxy[:, :2] < boxes.xyxy[:, 2:]).all()
+        assert (boxes.xyxy >= 0).all()
+        assert (boxes.xyxy <= (200, 100, 200, 100)).all()
+        assert set(boxes.class_ids.tolist()) <= {0, 1}
+    assert not refused or refused.startswith("line ")
+    assert len(refused) < 200

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,6 @@ from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.quantization.calibration_file import (
     Calibration,
-    CalibrationError,
     path_beside,
     read_calibration,
     write_calibration,
@@ -139,41 +139,36 @@ def test_bf16_finds_the_shapes(weights: WeightsFile) -> None:
     assert evaluate(detector, stills(UNSEEN_SEED, 50, (256, 320))).recall >= 0.9
 
 
-def test_int8_without_a_calibration_is_refused_with_the_command_to_type(copied: Path) -> None:
-    with pytest.raises(
-        CalibrationError, match=rf"calibration not found.*`calibrate {copied} DATA --image-size 64`"
-    ):
-        load_model(copied, precision="int8", device="cpu", image_size=64)
-
-
-def test_int8_with_a_calibration_for_another_size_is_refused(copied: Path) -> None:
-    shutil.copy(path_beside(SHAPES), path_beside(copied))
-    with pytest.raises(
-        CalibrationError, match=rf"for image_size 640, not 64\. .*`calibrate {copied} DATA --image-size 64`"
-    ):
-        load_model(copied, precision="int8", device="cpu", image_size=64)
-
-
-def test_int8_with_the_calibration_of_other_weights_is_refused(copied: Path) -> None:
-    shutil.copy(path_beside(SHAPES), path_beside(copied))
+def of_other_weights(copied: Path, calibration: Calibration) -> None:
+    write_calibration(path_beside(copied), calibration)
     write_safetensors(random_model(), copied)
-    with pytest.raises(
-        CalibrationError, match=rf"made for other weights.*`calibrate {copied} DATA --image-size 64`"
-    ):
-        load_model(copied, precision="int8", device="cpu", image_size=64)
 
 
-def test_a_calibration_that_lacks_a_convolution_is_refused(copied: Path, calibration: Calibration) -> None:
-    first = "model.0.conv"
-    ranges, means = (
-        {name: value for name, value in each.items() if name != first}
-        for each in (calibration.ranges, calibration.means)
-    )
+def lacking_a_convolution(copied: Path, calibration: Calibration) -> None:
+    ranges, means = ({**each} for each in (calibration.ranges, calibration.means))
+    del ranges["model.0.conv"], means["model.0.conv"]
     changed = {"ranges": ranges, "means": means, "image_size": 64}
     write_calibration(path_beside(copied), calibration.model_copy(update=changed))
-    with pytest.raises(
-        CalibrationError, match=rf"convolutions: {first}\. .*`calibrate {copied} DATA --image-size 64`"
-    ):
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        pytest.param(lambda *_: None, "calibration not found", id="none"),
+        pytest.param(
+            lambda copied, found: write_calibration(path_beside(copied), found),
+            "for image_size 640, not 64",
+            id="another size",
+        ),
+        pytest.param(of_other_weights, "made for other weights", id="other weights"),
+        pytest.param(lacking_a_convolution, r"convolutions: model\.0\.conv", id="a layer is missing"),
+    ],
+)
+def test_int8_without_a_calibration_that_fits_is_refused_with_the_command_to_type(
+    make: Callable[[Path, Calibration], None], reason: str, copied: Path, calibration: Calibration
+) -> None:
+    make(copied, calibration)
+    with pytest.raises(QuantizationError, match=rf"{reason}.*`calibrate {copied} DATA --image-size 64`"):
         load_model(copied, precision="int8", device="cpu", image_size=64)
 
 

@@ -9,9 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.collected_files import (
+    CollectedFrame,
+    CollectedObject,
+    embedding_text,
+    shades_text,
+)
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.descriptors import SHADES
-from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text, shades_text
 from yolov5_lifecycle.collecting.triggers import CollectRules, Detail, Pace, Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection

@@ -50,7 +50,7 @@ class CameraCollecting:
     def wanted(self, selection: Selection) -> Selection:
         """What to find in the next frame, besides `selection`: more if the frame will be looked at."""
         rules, now_s = self.rules, self._clock()
-        is_due = now_s - self._looked_s >= LOOK_PERIOD_S and self.pace.allows(now_s, rules)
+        is_due = now_s - self._looked_s >= LOOK_PERIOD_S and self.pace.allows(now_s)
         return rules.extended(selection) if is_due or self._is_requested else selection
 
     def look(

@@ -10,8 +10,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.collecting.collected_files import (
+    CollectedFrame,
+    CollectedObject,
+    embedding_text,
+    shades_text,
+)
 from yolov5_lifecycle.collecting.descriptors import Embedding, Shades, shades_of
-from yolov5_lifecycle.collecting.record import CollectedFrame, CollectedObject, embedding_text, shades_text
 from yolov5_lifecycle.collecting.triggers import CollectRules, Detail, Pace, Trigger, value_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import encode_jpeg

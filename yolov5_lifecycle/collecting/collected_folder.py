@@ -8,7 +8,7 @@ import os
 import secrets
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +22,9 @@ from yolov5_lifecycle.collecting.collected_files import (
     IMAGES,
     LABELS,
     MAX_LIST_BYTES,
+    CollectedFrame,
+    CollectingError,
+    FrameLine,
     append_line,
     own_bytes,
     read_class_names,
@@ -31,7 +34,6 @@ from yolov5_lifecycle.collecting.collected_files import (
     write_frame_list,
 )
 from yolov5_lifecycle.collecting.descriptors import KeptDescriptors
-from yolov5_lifecycle.collecting.record import CollectedFrame, CollectingError, FrameLine
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
@@ -120,6 +122,10 @@ class CollectedFolder:
     def lines(self) -> tuple[FrameLine, ...]:
         """Of the kept frames, in the order in which they were kept."""
         return tuple(self._lines.values())
+
+    def lines_of(self, images: Iterable[str]) -> list[FrameLine]:
+        """Those of `images` that are there."""
+        return [self._lines[image] for image in images if image in self._lines]
 
     @property
     def size_bytes(self) -> int:

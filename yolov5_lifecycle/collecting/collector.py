@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from yolov5_lifecycle.collecting.candidate import Candidate
+from yolov5_lifecycle.collecting.collected_files import CollectingError, FrameLine
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
-from yolov5_lifecycle.collecting.record import CollectingError
-from yolov5_lifecycle.collecting.triggers import Detail, Trigger
+from yolov5_lifecycle.collecting.triggers import PACE_MIN, Detail, Trigger
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.printable import in_one_line
 
@@ -114,7 +114,7 @@ class Collector:
         if self._failed_s is not None and now_s - self._failed_s < RETRY_S:
             self._count("dropped")
             return
-        if not (candidate.is_requested or candidate.pace.allows(now_s, candidate.rules)):
+        if not (candidate.is_requested or candidate.pace.allows(now_s)):
             return
         try:
             self._keep(candidate, self._opened(), now_s)
@@ -137,8 +137,11 @@ class Collector:
             return
         labels = candidate.labels(folder.ids_of(rules.class_names))
         record = candidate.record(folder.session.new_path(rules.camera), reasons)
-        if folder.add(record, candidate.jpeg(), labels):
-            candidate.pace.kept_s = now_s
+        rival = None if candidate.is_requested else _rival(candidate, folder, now_s)
+        if (rival is None or rival.value < record.value) and folder.add(record, candidate.jpeg(), labels):
+            if rival is not None and folder.lines_of([rival.image]):  # a full folder may have removed it
+                folder.remove(rival)
+            candidate.pace.keep(record.image, now_s)
             self._count("kept")
         else:
             self._count("outranked")
@@ -171,6 +174,15 @@ class Collector:
     def _note(self, **values: Any) -> None:
         with self._changed:
             self.status = replace(self.status, **values)
+
+
+def _rival(candidate: Candidate, folder: CollectedFolder, now_s: float) -> FrameLine | None:
+    """The least valuable frame of the last minutes, if one has to go when `candidate` is kept."""
+    per_minute = candidate.rules.settings.collect_per_minute
+    if not (count := math.ceil(per_minute * PACE_MIN)):
+        return None
+    recent = folder.lines_of(candidate.pace.since(now_s - 60 * count / per_minute))
+    return min(recent, key=lambda line: line.value) if len(recent) >= count else None
 
 
 def _novelty(distance: float) -> Detail:

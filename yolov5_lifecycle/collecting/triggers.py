@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -22,6 +23,8 @@ SCORE_MARGIN = 0.1
 """A score that is no farther from its threshold is uncertain."""
 GAP_S = 0.5
 """Between two kept frames of a camera, at least. With 1 s `benchmark.collected_errors` finds a third less."""
+PACE_MIN = 5
+"""Minutes of which the best frames are kept."""
 
 
 class Trigger(Enum):
@@ -90,11 +93,6 @@ class CollectRules:
     def blank_regions(self) -> tuple[Region, ...]:
         return tuple(map(Region.parse, self.settings.collect_blank_regions))
 
-    @property
-    def gap_s(self) -> float:
-        """Between two kept frames."""
-        return max(GAP_S, 60 / (self.settings.collect_per_minute or math.inf))
-
     def extended(self, selection: Selection) -> Selection:
         """`selection` and what a look needs: uncertain scores below a threshold, embedding, masks.
 
@@ -128,13 +126,24 @@ class CollectRules:
 
 
 class Pace:
-    """Keeps a gap between the kept frames of a camera.
+    """When frames of a camera were kept, in monotonic seconds.
 
-    Asked by the inference thread, told by the thread that keeps frames; times are monotonic seconds.
+    Asked by the inference thread, told by the thread that keeps frames.
     """
 
-    kept_s = -math.inf
+    def __init__(self) -> None:
+        self._kept_s = -math.inf
+        self._kept: deque[tuple[float, str]] = deque(maxlen=round(60 * PACE_MIN / GAP_S))
 
-    def allows(self, now_s: float, rules: CollectRules) -> bool:
-        """Whether a frame may be kept now."""
-        return now_s - self.kept_s >= rules.gap_s
+    def keep(self, image: str, now_s: float) -> None:
+        """The frame at the path `image` is kept now."""
+        self._kept_s = now_s
+        self._kept.append((now_s, image))
+
+    def allows(self, now_s: float) -> bool:
+        """Whether a frame may be kept now: there is a gap between two."""
+        return now_s - self._kept_s >= GAP_S
+
+    def since(self, begin_s: float) -> list[str]:
+        """The paths of frames that were kept later than `begin_s`."""
+        return [image for kept_s, image in self._kept if kept_s > begin_s]

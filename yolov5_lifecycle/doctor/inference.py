@@ -17,9 +17,9 @@ from yolov5_lifecycle.detection.python_api import load_model
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.doctor.system import KERNEL_MODULE
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.quantization.calibration_file import CalibrationError
 from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
+from yolov5_lifecycle.runtimes.quantization import QuantizationError
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, REQUIREMENTS
 from yolov5_lifecycle.runtimes.torch_device import devices_present
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
@@ -151,7 +151,7 @@ def _precision(precision: str, expected: Detections, fp32_ms: float) -> Finding:
     remedy = f"Keep precision at auto or fp32, because {precision} is not usable here; docs/int8.md has more."
     try:
         found, median_ms = detected(runtime=COARSE_RUNTIME, precision=precision)
-    except CalibrationError as refusal:
+    except QuantizationError as refusal:
         return warning(f"{precision}: {refusal}", remedy=remedy)
     if problem := difference(expected, found, COARSE):
         return warning(f"{precision} differs from fp32: {problem}", remedy=remedy)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,12 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_OBJECTS,
     Boxes,
     DataError,
-    LabelError,
     LabelledFolder,
     LabelledPath,
     Labels,
     Problems,
-    Progress,
     check_count,
     confined_path,
-    keep_silent,
 )
 from yolov5_lifecycle.evaluation.yolo_folder import absolute
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
@@ -44,9 +40,7 @@ _MAX_ID = 1 << 60
 """Python takes larger ones for equal in part, so that many of them would take hours."""
 
 
-def read_coco_file(
-    path: Path, problems: Problems, *, root: Path | None = None, progress: Progress = keep_silent
-) -> LabelledFolder:
+def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) -> LabelledFolder:
     """The images and labels of the COCO file at `path`.
 
     The names of images are relative to the folder `root` and may not leave it. Without `root`, it is the
@@ -54,7 +48,7 @@ def read_coco_file(
     there `images` and the folder of the split, such as `val2017` for `instances_val2017.json`. Problems with
     single records are added to `problems`. Raises DataError if nothing is left or a limit is exceeded.
     """
-    progress("reading the COCO file")
+    problems.progress("reading the COCO file")
     content = _content(path)
     categories = _categories(content["categories"], problems)
     try:
@@ -64,18 +58,17 @@ def read_coco_file(
     class_ids = {number: class_id for class_id, number in enumerate(categories)}
     images = _images(content["images"], problems)
     folder = absolute(root) if root else _folder(path, images, problems)
-    broken: set[int] = set()
-    objects = _objects(content["annotations"], images.keys(), class_ids, problems, broken)
+    objects = _objects(content["annotations"], images, class_ids, problems)
     found = []
     for image_id, (name, size_hw) in images.items():
-        if image_id in broken:
+        if (of_image := objects[image_id]) is None:
             continue
         try:
             image_path = confined_path(folder, name)
-        except LabelError as error:
+        except DataError as error:
             problems.add("unusable entries", f"image {image_id}", error)
             continue
-        boxes, ids, crowds = zip(*objects[image_id], strict=True) if image_id in objects else ((), (), ())
+        boxes, ids, crowds = zip(*of_image, strict=True) if of_image else ((), (), ())
         found.append(LabelledPath(image_path, Labels(Boxes.of(boxes, ids, crowds), size_hw=size_hw)))
     if not found or not any(len(image.labels.boxes) for image in found):
         raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())
@@ -172,7 +165,7 @@ def _folder(path: Path, images: Mapping[int, tuple[str, object]], problems: Prob
         raise DataError(f"{path}: found no image that can be used. {problems.summary}".strip())
     try:
         confined_path(parent, names[0])
-    except LabelError as error:  # in no folder
+    except DataError as error:  # in no folder
         raise DataError(f"{path}: {error}.") from None
     shown = in_one_line(names[0], 200)
     raise DataError(
@@ -183,7 +176,7 @@ def _folder(path: Path, images: Mapping[int, tuple[str, object]], problems: Prob
 def _is_there(folder: Path, name: str) -> bool:
     try:
         return confined_path(folder, name).exists()
-    except (LabelError, OSError):
+    except (DataError, OSError):
         return False
 
 
@@ -192,26 +185,26 @@ _Object = tuple[tuple[float, float, float, float], int, bool]
 
 
 def _objects(
-    records: list[Any],
-    image_ids: Any,
-    class_ids: Mapping[int, int],
-    problems: Problems,
-    broken: set[int],
-) -> Mapping[int, list[_Object]]:
-    """The objects of each image id; images with a record that cannot be used are added to `broken`."""
-    objects: defaultdict[int, list[_Object]] = defaultdict(list)
+    records: list[Any], image_ids: Iterable[int], class_ids: Mapping[int, int], problems: Problems
+) -> dict[int, list[_Object] | None]:
+    """The objects of each image id; None for an image with a record that cannot be used."""
+    # No id of an annotation becomes a key: many that Python takes for equal in part would take hours.
+    objects: dict[int, list[_Object] | None] = {image_id: [] for image_id in image_ids}
     for number, record in enumerate(_consumed(records)):
         image_id = record.get("image_id") if isinstance(record, dict) else None
+        if not isinstance(image_id, int) or image_id not in objects:
+            reason = "its image is missing or cannot be used"
+            problems.add("broken labels", f"annotation number {number}", reason)
+            continue
         try:
-            if not isinstance(image_id, int) or image_id not in image_ids:
-                raise LabelError("its image is missing or cannot be used")
-            objects[image_id].append(_object(record, class_ids))
-            if len(objects[image_id]) > MAX_BOXES_PER_IMAGE:
-                raise LabelError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")
-        except LabelError as error:
+            found = _object(record, class_ids)
+            if (of_image := objects[image_id]) is not None:
+                of_image.append(found)
+                if len(of_image) > MAX_BOXES_PER_IMAGE:
+                    raise DataError(f"its image has more than {MAX_BOXES_PER_IMAGE} objects")
+        except DataError as error:
             problems.add("broken labels", f"annotation number {number}", error)
-            if isinstance(image_id, int) and image_id in image_ids:
-                broken.add(image_id)
+            objects[image_id] = None
     return objects
 
 
@@ -225,14 +218,14 @@ def _consumed(records: list[Any]) -> Iterator[Any]:
 def _object(record: Mapping[str, Any], class_ids: Mapping[int, int]) -> _Object:
     category_id = record.get("category_id")
     if not isinstance(category_id, int) or category_id not in class_ids:
-        raise LabelError(f"expected the id of a category, found {_shown(category_id)}")
+        raise DataError(f"expected the id of a category, found {_shown(category_id)}")
     match record.get("bbox"):
         case [float() | int(), float() | int(), float() | int(), float() | int()] as bbox:
             x, y, width, height = _pixels(bbox)
         case other:
-            raise LabelError(f"expected a bbox of 4 numbers, found {_shown(other)}")
+            raise DataError(f"expected a bbox of 4 numbers, found {_shown(other)}")
     if not (width > 0 and height > 0):
-        raise LabelError(f"expected a width and height above 0, found {width:g} and {height:g}")
+        raise DataError(f"expected a width and height above 0, found {width:g} and {height:g}")
     return (x, y, x + width, y + height), class_ids[category_id], record.get("iscrowd") in (1, True)
 
 
@@ -240,7 +233,7 @@ def _pixels(bbox: Sequence[float]) -> Iterator[float]:
     for value in bbox:
         # An integer of any length is compared before it is converted.
         if not -_MAX_PX <= value <= _MAX_PX or not math.isfinite(value):
-            raise LabelError(f"expected pixels of an image, found {str(value)[:20]}")
+            raise DataError(f"expected pixels of an image, found {str(value)[:20]}")
         yield float(value)
 
 

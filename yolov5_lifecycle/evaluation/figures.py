@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.evaluated import EvaluatedImage
-from yolov5_lifecycle.evaluation.matching import Matches
+from yolov5_lifecycle.evaluation.ground_truth import Boxes
+from yolov5_lifecycle.evaluation.matching import EvaluatedImage, Matches, match
 
 METRICS = ("precision", "recall", "f1", "ap50", "ap50_95")
 MIN_IOU = 0.5
@@ -148,24 +148,25 @@ def confusion_matrix(
 
     The last column has the objects that were missed, the last row the detections without an object.
     Objects are first matched with detections of their own class, so the diagonal has the right detections of
-    the table; then the rest are matched with one another, highest IoU first.
+    the table; then the rest are matched with one another as if they had one class.
     """
     is_above = matches.scores > thresholds[matches.class_ids]
     is_right = is_above & matches.is_right[0]
     is_free = np.zeros(len(matches.rows), np.bool_)
     is_free[matches.rows] = is_above & ~is_right & ~matches.is_ignored[0]
-    is_missed = np.concatenate([*(~image.truth.is_crowd for image in images), np.empty(0, np.bool_)])
+    is_missed = np.concatenate([~image.truth.is_crowd for image in images])
     is_missed[matches.targets[is_right]] = False
+    free = np.split(is_free, np.cumsum([len(image.found) for image in images])[:-1])
+    missed = np.split(is_missed, np.cumsum([len(image.truth) for image in images])[:-1])
+    pairs = match(list(map(_rest, images, free, missed)), ("any",))
+    rows, targets = pairs.rows[pairs.is_right[0]], pairs.targets[pairs.is_right[0]]
+    found_ids = np.concatenate([image.found.class_ids for image in images])[is_free]
+    missed_ids = np.concatenate([image.truth.class_ids for image in images])[is_missed]
     size = len(matches.class_names) + 1
     counts = np.diag(np.bincount(matches.class_ids[is_right], minlength=size))
-    of_images = zip(
-        images,
-        _split(is_free, [len(image.found) for image in images]),
-        _split(is_missed, [len(image.truth) for image in images]),
-        strict=True,
-    )
-    for image, free, missed in of_images:
-        _add_rest(counts, image, free, missed)
+    np.add.at(counts, (missed_ids[targets], found_ids[rows]), 1)
+    counts[-1] += np.bincount(np.delete(found_ids, rows), minlength=size)
+    counts[:, -1] += np.bincount(np.delete(missed_ids, targets), minlength=size)
     return counts
 
 
@@ -178,40 +179,8 @@ def occurring(
     return counts[np.ix_(kept, kept)], tuple(class_names[class_id] for class_id in kept[:-1])
 
 
-def _split(values: NDArray[np.bool_], lengths: Sequence[int]) -> list[NDArray[np.bool_]]:
-    return np.split(values, np.cumsum(lengths, dtype=np.int64)[:-1]) if lengths else []
-
-
-def _add_rest(
-    counts: NDArray[np.int64], image: EvaluatedImage, is_free: NDArray[np.bool_], is_missed: NDArray[np.bool_]
-) -> None:
-    """Add the detections `is_free` and objects `is_missed` of one image to `counts`, in place."""
-    found, truth = image.found.class_ids[is_free], image.truth.class_ids[is_missed]
-    pairs = _pairs(image.found.boxes_xyxy[is_free].astype(np.float64), image.truth.xyxy[is_missed])
-    for row, target in pairs:
-        counts[truth[target], found[row]] += 1
-    rest, missed = (
-        np.delete(ids, taken)
-        for ids, taken in ((found, [row for row, _ in pairs]), (truth, [target for _, target in pairs]))
-    )
-    counts[-1] += np.bincount(rest, minlength=len(counts))
-    counts[:, -1] += np.bincount(missed, minlength=len(counts))
-
-
-def _pairs(boxes_xyxy: NDArray[np.float64], others_xyxy: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Pairs of rows with an IoU of at least MIN_IOU, each row once, the highest IoU first."""
-    if not len(boxes_xyxy) or not len(others_xyxy):
-        return []
-    from pycocotools import mask as coco
-
-    xywh, others = (
-        np.concatenate((xyxy[:, :2], xyxy[:, 2:] - xyxy[:, :2]), axis=1) for xyxy in (boxes_xyxy, others_xyxy)
-    )
-    iou = np.asarray(coco.iou(xywh, others, [0] * len(others)))
-    places = np.argwhere(iou >= MIN_IOU)
-    taken: dict[int, int] = {}  # rows by targets
-    row_is_free = np.ones(len(xywh), np.bool_)
-    for row, target in places[np.argsort(-iou[tuple(places.T)], kind="stable")].tolist():
-        if row_is_free[row] and target not in taken:
-            taken[target], row_is_free[row] = row, False
-    return [(row, target) for target, row in taken.items()]
+def _rest(image: EvaluatedImage, is_free: NDArray[np.bool_], is_missed: NDArray[np.bool_]) -> EvaluatedImage:
+    """The detections `is_free` and objects `is_missed` of an image, all of one class."""
+    found, xyxy = image.found[is_free], image.truth.xyxy[is_missed]
+    truth = Boxes(xyxy, np.zeros(len(xyxy), np.int64), np.zeros(len(xyxy), np.bool_))
+    return replace(image, truth=truth, found=replace(found, class_ids=np.zeros(len(found), np.int64)))

@@ -23,6 +23,10 @@ MAX_OBJECTS = 2_000_000
 MAX_CLASSES = 10_000
 MAX_LISTED = 10
 """Number of problems that are reported one by one; further ones are only counted."""
+PROGRESS_PERIOD = 500
+"""Images between two reports of the progress."""
+SPLITS = ("val", "test", "train")
+"""Entries of `data.yaml`, of which the first that there is is evaluated."""
 _MAX_SHOWN = 300
 _MAX_PATH = 100
 _OF_WINDOWS = re.compile(r"\\|^[A-Za-z]:/")
@@ -38,21 +42,7 @@ Kind = Literal[
 
 
 class DataError(ValueError):
-    """Labelled data of which nothing can be used; the message has the reason and a remedy."""
-
-
-class LabelError(ValueError):
-    """Labels of an image that cannot be used; the message states what was expected and found."""
-
-
-Progress = Callable[[str], None]
-"""Shows what is being read, such as `labels: 3000 of 5000 images`."""
-PROGRESS_PERIOD = 500
-"""Images between two calls of Progress."""
-
-
-def keep_silent(_: str) -> None:
-    """A `Progress` that shows nothing."""
+    """Labelled data, or labels of an image, that cannot be used: expected, found, and what to do."""
 
 
 def check_count(
@@ -64,11 +54,17 @@ def check_count(
 
 
 class Problems:
-    """Counts what cannot be used and calls `tell` with the first problems, one line each."""
+    """Counts what cannot be used and calls `tell` with the first problems, one line each.
 
-    def __init__(self, tell: Callable[[str], None]) -> None:
+    `progress` is called with what is being read, such as `labels: 3000 of 5000 images`.
+    """
+
+    def __init__(
+        self, tell: Callable[[str], None], *, progress: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.counts: Counter[Kind] = Counter()
         self.first: list[str] = []
+        self.progress = progress
         self._tell = tell
 
     def add(self, kind: Kind, where: object, reason: object, *, count: int = 1) -> None:
@@ -120,15 +116,15 @@ class Labels:
     """Height and width of the image that the labels were made for, if known."""
 
     def in_pixels(self, size_hw: tuple[int, int]) -> Boxes:
-        """The boxes in an image of `size_hw`; raises LabelError if they are outside, or for another size."""
+        """The boxes in an image of `size_hw`; raises DataError if they are outside, or for another size."""
         if self.size_hw is not None and self.size_hw != size_hw:
             expected, found = (f"{width} x {height}" for height, width in (self.size_hw, size_hw))
-            raise LabelError(f"the labels are for an image of {expected} pixels, found {found}")
+            raise DataError(f"the labels are for an image of {expected} pixels, found {found}")
         height, width = size_hw
         if not self.in_fractions:
             xyxy = self.boxes.xyxy
             if ((xyxy[:, :2] >= (width, height)) | (xyxy[:, 2:] <= 0)).any():
-                raise LabelError(f"a label is outside of its image of {width} x {height} pixels")
+                raise DataError(f"a label is outside of its image of {width} x {height} pixels")
             return self.boxes
         pixels = self.boxes.xyxy * (width, height, width, height)
         return Boxes(pixels, self.boxes.class_ids, self.boxes.is_crowd)
@@ -151,25 +147,25 @@ class LabelledFolder:
 
 
 def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
-    """The path `text`, relative to `base`; raises LabelError if it is outside of the folder `root`.
+    """The path `text`, relative to `base`; raises DataError if it is outside of the folder `root`.
 
     `root` is absolute; without `base` it is also what `text` is relative to. Links are followed, `..` is not
     looked up.
     """
     if not text or "\0" in text or len(text) > 4096:
-        raise LabelError("expected the path of a file or folder")
+        raise DataError("expected the path of a file or folder")
     path = Path(os.path.normpath((base or root) / text))
     shown = in_one_line(text, _MAX_PATH)
     if _OF_WINDOWS.search(text) and not _exists(path):
         backslash = r"\\" if base else r"\\\\"  # JSON has each twice
         slashes = f"; type sed -i 's|{backslash}|/|g' FILE" if "\\" in text else ""
         drive = f"; make it relative to {base or root}" if text[1:2] == ":" else ""
-        raise LabelError(f"'{shown}' is a path of Windows{slashes}{drive}")
+        raise DataError(f"'{shown}' is a path of Windows{slashes}{drive}")
     if not path.is_relative_to(root):
         # What is relative to the root leaves every root.
         is_helped = (base is not None or Path(text).is_absolute()) and _exists(path)
         remedy = "; --root names the folder that may be read" if is_helped else ""
-        raise LabelError(f"'{shown}' lies outside of {root}{remedy}")
+        raise DataError(f"'{shown}' lies outside of {root}{remedy}")
     return path
 
 

@@ -12,9 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE
 from yolov5_lifecycle.evaluation.figures import METRICS, Counts, sweep
-from yolov5_lifecycle.evaluation.matching import Matches
+from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, Matches
 
 _LEAST = re.compile(r"(recall|precision)=(0?\.\d+|1(?:\.0*)?)", re.ASCII)
 

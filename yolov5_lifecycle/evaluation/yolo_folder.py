@@ -1,40 +1,109 @@
-"""Labelled images in YOLO format: `images/`, `labels/` and `data.yaml`."""
+"""Labelled images in YOLO format: `images/`, `labels/` and `data.yaml`, which says what is where."""
 
 from __future__ import annotations
 
 import io
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from yolov5_lifecycle.evaluation.data_description import SPLITS, DataDescription, read_description
+import yaml
+
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
     PROGRESS_PERIOD,
+    SPLITS,
     DataError,
-    LabelError,
     LabelledFolder,
     LabelledPath,
     Problems,
-    Progress,
     check_count,
     confined_path,
-    keep_silent,
 )
 from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
 from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, ClassNamesError, class_names_of
+from yolov5_lifecycle.outside_yaml import PlainText, texts_of
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
+_MAX_YAML_BYTES = 1 << 20
+_NO_PATH = ("", "~", "null", "Null", "NULL")
+"""An entry without a value, as YAML writes it."""
+_RESOLVER = yaml.resolver.Resolver()
+_READ = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "null"))
 MAX_LIST_BYTES = 64 << 20
 MAX_LABEL_CHARACTERS = 1 << 30
 """Of all label files together; those of COCO's training set, with polygons, have 0.5 GB."""
-_NOTHING = DataDescription("", {}, None)
+
+
+@dataclass(frozen=True)
+class DataDescription:
+    """The entries of a `data.yaml` that are used here."""
+
+    folder: str
+    """The entry `path`, which the others are relative to; "" without one."""
+    splits: Mapping[str, tuple[str, ...]]
+    """Folders and lists of images by `train`, `val` and `test`; without those that are empty."""
+    class_names: tuple[str, ...] | None
+
+
+def read_description(path: Path) -> DataDescription:
+    """Read the `data.yaml` at `path`, at most a megabyte. Raises DataError."""
+    try:
+        content = texts_of(read_text_file(path, _MAX_YAML_BYTES))
+    except (ValueError, OSError) as error:
+        problem = error.strerror if isinstance(error, OSError) else str(error)
+        raise DataError(f"{path}: {problem}.") from None
+    if not isinstance(content, dict):
+        raise DataError(f"{path}: expected names and values, such as `val: images` and `names: [cat, dog]`.")
+    try:
+        splits = {name: _texts(content.get(name)) for name in SPLITS}
+        names = _class_names(content.get("names"))
+    except ValueError as error:
+        raise DataError(f"{path}: {error}.") from None
+    folder = content.get("path")
+    return DataDescription(
+        folder if isinstance(folder, str) and folder not in _NO_PATH else "",
+        {name: entries for name, entries in splits.items() if entries},
+        names,
+    )
+
+
+def _texts(value: object) -> tuple[str, ...]:
+    """The paths in a text or a list of texts."""
+    texts = value if isinstance(value, list) else [value]
+    if any(isinstance(text, (list, dict)) for text in texts):
+        raise ValueError("train, val and test must be paths or lists of paths")
+    return tuple(text for text in texts if isinstance(text, str) and text not in _NO_PATH)
+
+
+def _class_names(names: object) -> tuple[str, ...] | None:
+    """Class names of a list, or of a mapping from the ids 0, 1, ..., as a checkpoint of them would have."""
+    if not names:
+        return None
+    if isinstance(names, dict):
+        return class_names_of({key: _loaded(name) for key, name in names.items()}, 0, MAX_CLASSES)
+    if isinstance(names, list):
+        return class_names_of(list(map(_loaded, names)), 0, MAX_CLASSES)
+    raise ClassNamesError("names must be a list of class names, or a mapping from 0, 1, ... to them")
+
+
+def _loaded(name: object) -> object:
+    """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
+    if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
+        return name
+    tag = _RESOLVER.resolve(yaml.ScalarNode, name, (True, False))  # type: ignore[no-untyped-call]
+    try:
+        return yaml.safe_load(name) if tag in _READ else name
+    except ValueError:  # such as 0b_, a number without digits
+        return name
 
 
 def read_yolo_folder(
@@ -43,7 +112,6 @@ def read_yolo_folder(
     *,
     split: str | None = None,
     root: Path | None = None,
-    progress: Progress = keep_silent,
 ) -> LabelledFolder:
     """The images and labels of `data`: a folder, or the `data.yaml` of one.
 
@@ -52,10 +120,10 @@ def read_yolo_folder(
     Raises DataError if nothing is left or a limit is exceeded, and OSError.
     """
     description_path = _description_path(data)
-    description = read_description(description_path) if description_path else _NOTHING
+    description = read_description(description_path) if description_path else DataDescription("", {}, None)
     folder = absolute(description_path.parent if description_path else data)
     reader = _Reader(folder, absolute(root) if root else folder, problems)
-    progress("looking for images")
+    problems.progress("looking for images")
     wanted = _entries(description, data, split)
     paths = reader.images(wanted, description.folder)
     class_count = len(description.class_names or ()) or MAX_CLASSES
@@ -68,7 +136,7 @@ def read_yolo_folder(
     images = []
     for number, path in enumerate(paths):
         if number % PROGRESS_PERIOD == 0:
-            progress(f"labels: {number} of {len(paths)} images")
+            problems.progress(f"labels: {number} of {len(paths)} images")
         if (image := reader.labelled(path, class_count)) is not None:
             images.append(image)
     if not reader.label_files:
@@ -151,15 +219,17 @@ class _Reader:
     def labelled(self, path: Path, class_count: int) -> LabelledPath | None:
         """The image with its labels, none if it has no label file; None if they are broken."""
         label_path = _label_path(path, self.root)
+        text: str | None = ""
         try:
             text = label_text(label_path)
-            self._count(label_path.parent, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
             labels = parsed_labels(text or "", class_count)
-        except LabelError as error:
-            self.label_files += 1
+        except DataError as error:
             self._problems.add("broken labels", label_path, error)
-            return None
+            labels = None
         self.label_files += text is not None
+        self._count(label_path.parent, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
+        if labels is None:
+            return None
         self._count(label_path.parent, "objects in a data set", len(labels.boxes), MAX_OBJECTS)
         return LabelledPath(path, labels)
 
@@ -170,17 +240,17 @@ class _Reader:
     def _located(self, entry: str, base: str) -> Path | None:
         """The path of an entry; like in YOLOv5, without a leading `../` if only that path exists."""
         below = self._below(base)
-        problem: LabelError | None = None
+        problem: DataError | None = None
         for text in dict.fromkeys((entry, entry.removeprefix("../"))):
             for start in dict.fromkeys((below, self._folder)):
                 try:
                     path = confined_path(self.root, text, base=start)
-                except LabelError as error:
+                except DataError as error:
                     problem = problem or error
                     continue
                 if os.path.exists(path):  # noqa: PTH110 - Path.exists raises if a name is too long
                     return path
-                problem = problem or LabelError(f"{path} not found")
+                problem = problem or DataError(f"{path} not found")
         self._problems.add("unusable entries", f"'{entry}' in data.yaml", problem)
         return None
 
@@ -190,7 +260,7 @@ class _Reader:
             return self._folder
         try:
             return confined_path(self.root, base, base=self._folder)
-        except LabelError as error:
+        except DataError as error:
             self._problems.add("unusable entries", "'path' in data.yaml", error)
             return self._folder
 
@@ -207,8 +277,8 @@ class _Reader:
             try:
                 image = confined_path(self.root, line, base=path.parent)
                 if not _is_image(image):
-                    raise LabelError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
-            except LabelError as error:
+                    raise DataError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
+            except DataError as error:
                 self._problems.add("unusable entries", path, error)
                 continue
             yield image

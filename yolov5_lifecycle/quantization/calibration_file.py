@@ -33,10 +33,6 @@ Range = tuple[Figure, Figure]
 """Lowest and highest value of an activation."""
 
 
-class CalibrationError(ValueError):
-    """A calibration that is missing, damaged or made for something else; the message has the remedy."""
-
-
 class Calibration(BaseModel):
     """The content of a calibration file. Those of version 2 had further fields, which are ignored."""
 
@@ -97,7 +93,7 @@ def find_quantization(
 ) -> Quantization:
     """That of the calibration beside `weights`, which must be for them and for `image_size`.
 
-    Raises CalibrationError with the command that makes such a calibration, and what `allowed` raises for a
+    Raises QuantizationError with the command that makes such a calibration, and what `allowed` raises for a
     path outside the folders of the user.
     """
     path = path_beside(weights.path)
@@ -105,9 +101,9 @@ def find_quantization(
     try:
         calibration = read_calibration(real)
         _check_made_for(calibration, weights, image_size)
-    except (CalibrationError, QuantizationError) as error:
+    except QuantizationError as error:
         command = shell_command("calibrate", weights.path, "DATA", "--image-size", image_size)
-        raise CalibrationError(
+        raise QuantizationError(
             f"{path}: {error}. Create one with `{command}`, where DATA is a folder of images, a video or a "
             "recording; or use precision 'fp32'."
         ) from None
@@ -117,11 +113,11 @@ def find_quantization(
 def _check_made_for(calibration: Calibration, weights: WeightsFile, image_size: int) -> None:
     found, expected = calibration.weights_sha256, weights.sha256
     if found != expected:
-        raise CalibrationError(
+        raise QuantizationError(
             f"the calibration was made for other weights (sha256 {found[:12]}..., not {expected[:12]}...)"
         )
     if calibration.image_size != image_size:
-        raise CalibrationError(
+        raise QuantizationError(
             f"the calibration was made for image_size {calibration.image_size}, not {image_size}"
         )
     with torch.device("meta"):
@@ -132,19 +128,19 @@ def _check_made_for(calibration: Calibration, weights: WeightsFile, image_size: 
 def read_calibration(path: Path) -> Calibration:
     """The calibration at `path`; at most MAX_FILE_BYTES are read.
 
-    Raises CalibrationError, without the path and the remedy.
+    Raises QuantizationError, without the path and the remedy.
     """
     try:
         return Calibration.model_validate_json(read_regular_file(path, MAX_FILE_BYTES))
     except FileNotFoundError:
-        raise CalibrationError("calibration not found") from None
+        raise QuantizationError("calibration not found") from None
     except OSError as error:
         problem = f"it cannot be read: {error.strerror}"
     except ValidationError as error:
         problem = _first_problem(error)
     except RegularFileError as error:
         problem = str(error)
-    raise CalibrationError(f"this is not a usable calibration: {problem}")
+    raise QuantizationError(f"this is not a usable calibration: {problem}")
 
 
 def _first_problem(error: ValidationError) -> str:

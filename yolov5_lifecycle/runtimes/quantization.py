@@ -23,7 +23,7 @@ Range = tuple[float, float]
 
 
 class QuantizationError(ValueError):
-    """Ranges do not fit the network; the message says which."""
+    """A calibration is missing or damaged, or does not fit the network; the message has the reason."""
 
 
 @dataclass(frozen=True)

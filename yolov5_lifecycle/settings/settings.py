@@ -206,7 +206,10 @@ class Settings(BaseModel):
         "Empty: on request only.",
     )
     collect_per_minute: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
-        20.0, ge=0, le=6000, description="Maximum number of kept images of a camera per minute. 0: no limit."
+        20.0,
+        ge=0,
+        le=6000,
+        description="Maximum number of kept images of a camera per minute, in the mean of five. 0: no limit.",
     )
     collect_blank_regions: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA, Entries.WITH_COMMAS] = Field(
         (),

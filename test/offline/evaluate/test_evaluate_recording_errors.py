@@ -12,14 +12,21 @@ from support.evaluated_offline import evaluate, labelled_drive, report_of
 from support.recorded_scene import TOPIC
 
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
-from yolov5_lifecycle.offline.evaluate import labelled_recording
+from yolov5_lifecycle.offline.evaluate import labelled_data
 from yolov5_lifecycle.offline.recording import Recording
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
-def nan_box(message: Any) -> Any:
-    message.detections[0].bbox.size_x = float("nan")
-    return message
+def changed(**values: Any) -> Callable[[Any], Any]:
+    """Changes the class or the box of the first detection in a message."""
+
+    def change(message: Any) -> Any:
+        first = message.detections[0]
+        for name, value in values.items():
+            setattr(first.results[0].hypothesis if name == "class_id" else first.bbox, name, value)
+        return message
+
+    return change
 
 
 def no_class(message: Any) -> Any:
@@ -27,33 +34,14 @@ def no_class(message: Any) -> Any:
     return message
 
 
-def unknown_class(message: Any) -> Any:
-    message.detections[0].results[0].hypothesis.class_id = "unicorn"
-    return message
-
-
-def long_class(message: Any) -> Any:
-    message.detections[0].results[0].hypothesis.class_id = "x" * 201
-    return message
-
-
-def negative_size(message: Any) -> Any:
-    message.detections[0].bbox.size_y = -3.0
-    return message
-
-
-def no_message(_: Any) -> Any:
-    return b"\0\1\0\0\xff\xff"
-
-
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        pytest.param(nan_box, "not finite", id="NaN"),
-        pytest.param(negative_size, "a size of", id="negative"),
+        pytest.param(changed(size_x=float("nan")), "not finite", id="NaN"),
+        pytest.param(changed(size_y=-3.0), "a size of", id="negative"),
         pytest.param(no_class, "a detection has no class", id="no class"),
-        pytest.param(unknown_class, "the class 'unicorn' is not in its label_info", id="unknown class"),
-        pytest.param(no_message, "found other bytes", id="no message"),
+        pytest.param(changed(class_id="unicorn"), "'unicorn' is not in its label_info", id="unknown class"),
+        pytest.param(lambda _: b"\0\1\0\0\xff\xff", "found other bytes", id="no message"),
     ],
 )
 def test_broken_detections_of_a_recording_are_refused(
@@ -87,7 +75,7 @@ def stampless(message: Any) -> Any:
 def test_class_names_that_occur_are_limited_in_length(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    drive = labelled_drive(tmp_path / "drive", class_names=None, change=long_class)
+    drive = labelled_drive(tmp_path / "drive", class_names=None, change=changed(class_id="x" * 201))
     assert evaluate(drive) == 1
     assert "found a class name of 201 characters, more than 200" in capsys.readouterr().err
 
@@ -116,7 +104,7 @@ def test_class_names_of_label_info_are_limited(
 def test_labels_of_a_recording_are_limited_in_total(
     name: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(labelled_recording, name, 2)
+    monkeypatch.setattr(labelled_data, name, 2)
     assert evaluate(labelled_drive(tmp_path / "drive")) == 1
     assert told in capsys.readouterr().err
 
@@ -154,10 +142,11 @@ def test_images_that_a_recording_claims_and_lacks_are_counted_once(
     assert "not evaluated: 2 missing images\n" in output
 
 
-def test_the_classes_are_those_of_the_node_that_published_the_detections(tmp_path: Path) -> None:
-    drive = labelled_drive(tmp_path / "drive", other_names=["face"])
-    assert evaluate(drive, "--output", str(tmp_path / "out")) == 0
-    assert report_of(tmp_path / "out")["data"]["problems"]["counts"] == {}
+def test_the_classes_are_those_of_the_node_that_published_the_detections(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(labelled_drive(tmp_path / "drive", other_names=["face"])) == 0
+    assert "not evaluated" not in capsys.readouterr().out
 
 
 @pytest.mark.long

@@ -14,9 +14,8 @@ from support.detector_process import WEIGHTS, scene_image
 from support.served_node import ServedNode
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.collecting.collected_files import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import CollectedFrame, read_frame_list
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.collecting.record import CollectedFrame
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder

@@ -17,13 +17,12 @@ from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.cost import checked_cost, size_multiple
 from yolov5_lifecycle.offline.calibrate.arguments import command_parser
-from yolov5_lifecycle.offline.calibrate.calibrating import SENSITIVITY_FRAMES, Calibrating
 from yolov5_lifecycle.offline.calibrate.calibration_images import (
     CalibrationData,
     fitted,
     read_calibration_data,
 )
-from yolov5_lifecycle.offline.calibrate.measuring import Worth, map_loss
+from yolov5_lifecycle.offline.calibrate.measuring import SENSITIVITY_FRAMES, Calibrating, Worth, map_loss
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.printable import in_one_line

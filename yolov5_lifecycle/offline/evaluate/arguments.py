@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
-from yolov5_lifecycle.evaluation.data_description import SPLITS
+from yolov5_lifecycle.evaluation.ground_truth import SPLITS
 from yolov5_lifecycle.evaluation.thresholds import Goal
 from yolov5_lifecycle.offline.detector_options import add_detector_options
 

@@ -72,9 +72,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) ->
     listener = _Listener(terminal)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
-        opened = labelled_data(
-            arguments.data, _data_options(arguments), listener.problems, progress=terminal.begin
-        )
+        opened = labelled_data(arguments.data, _data_options(arguments), listener.problems)
         data = stack.enter_context(opened)
         classes, evaluations = evaluate_models(
             data, wanted, listener=listener, problems=listener.problems, prepare=prepare
@@ -115,7 +113,7 @@ class _Listener:
     """Shows progress on the terminal, and the first problems; counts all."""
 
     def __init__(self, terminal: Terminal) -> None:
-        self.problems = Problems(self._tell)
+        self.problems = Problems(self._tell, progress=terminal.begin)
         self._terminal = terminal
         self._rejected: set[str] = set()
 

@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,8 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
-from yolov5_lifecycle.evaluation.evaluated import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelError, Labels, Problems, check_count
+from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems, check_count
+from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import OfflineDetector, ProgressListener, StoredImage, prepared_for
 from yolov5_lifecycle.runtimes.runtime import InferenceError
@@ -37,14 +36,22 @@ _WHILE_EVALUATING = {
 """Average precision needs detections below the thresholds; those above are the same with and without them."""
 
 
-class LabelledImage(StoredImage, Protocol):
+@dataclass(frozen=True)
+class LabelledImage:
     """A stored image with its ground truth and its number in the data set, from 0."""
 
-    @property
-    def number(self) -> int: ...
+    number: int
+    stored: StoredImage
+    labels: Labels
+    stamp_s = None
 
     @property
-    def labels(self) -> Labels: ...
+    def label(self) -> str:
+        return self.stored.label
+
+    def load(self) -> ColourImage:
+        """Load the pixels; raises ImageError."""
+        return self.stored.load()
 
 
 @dataclass(frozen=True)
@@ -162,7 +169,7 @@ def _found(
     def keep(stored: LabelledImage, image: ColourImage, detections: Detections) -> None:
         try:
             truth = classes.truth(stored.labels.in_pixels(image.size_hw))
-        except LabelError as error:
+        except DataError as error:
             if model.number == 0:
                 problems.add("broken labels", stored.label, error)
             return

@@ -11,8 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from yolov5_lifecycle.collecting.collected_files import MAX_IMAGE_BYTES, with_names
-from yolov5_lifecycle.collecting.record import CollectedFrame, FrameLine
+from yolov5_lifecycle.collecting.collected_files import (
+    MAX_IMAGE_BYTES,
+    CollectedFrame,
+    FrameLine,
+    with_names,
+)
 from yolov5_lifecycle.collecting.triggers import Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
