@@ -12,8 +12,7 @@ import pytest
 import torch
 from support.families import EVERY_FAMILY, family_architecture
 from support.formula_model import EVERY_SIZE
-from support.hostile_costs import REFUSED
-from support.small_families import EVERY_SMALL, SMALL_FAMILIES
+from support.small_families import COSTLY, EVERY_SMALL, SMALL_FAMILIES
 from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode
 
@@ -207,9 +206,9 @@ def test_the_largest_size_needs_3_gb_for_the_largest_image() -> None:
     assert cost_of(SIZES["x6"], (4096, 4096)).memory_bytes < 3e9
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", COSTLY)
 def test_what_would_take_the_machines_memory_is_refused_without_taking_any(name: str) -> None:
-    architecture, told = REFUSED[name]
+    architecture, told = COSTLY[name]
     check_architecture(SIZES["n"])
     before_mb = resident_mb(os.getpid())
     forget_peak()
