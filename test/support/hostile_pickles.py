@@ -39,18 +39,21 @@ SHELL = text(f"{MARKER}=1; touch {MARKER}")
 DETECT, CONV = name("models.yolo", "Detect"), name("models.common", "Conv")
 NO_CHECKPOINT = "expected a dict with the entry 'model'"
 
-FOREIGN = [
-    *[("os", "system", SHELL), ("__builtin__", "eval", SHELL), ("builtins", "exec", SHELL)],
-    *[
-        ("subprocess", "Popen", SHELL),
-        (MARKER, "anything", b""),
-        ("importlib", "import_module", text(MARKER)),
-    ],
-    *[("_pickle", "loads", text("x")), ("numpy", "load", text("/etc/passwd")), ("torch", "load", text("x"))],
-    *[("torch", "FloatTensor", number(1 << 40)), ("builtins", "bytearray", number(1 << 34))],
-    *[("functools", "partial", name("os", "system"))],
+FOREIGN = (
+    ("os", "system", SHELL),
+    ("__builtin__", "eval", SHELL),
+    ("builtins", "exec", SHELL),
+    ("subprocess", "Popen", SHELL),
+    (MARKER, "anything", b""),
+    ("importlib", "import_module", text(MARKER)),
+    ("_pickle", "loads", text("x")),
+    ("numpy", "load", text("/etc/passwd")),
+    ("torch", "load", text("/etc/passwd")),
+    ("torch", "FloatTensor", number(1 << 40)),
+    ("builtins", "bytearray", number(1 << 34)),
+    ("functools", "partial", name("os", "system")),
     ("yolov5_lifecycle.process.memory", "release_unused_memory", b""),
-]
+)
 """Functions that a pickle calls, one of each kind, by module, name and argument."""
 
 METHODS = {
