@@ -10,8 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from support.families import EVERY_FAMILY, family_architecture
-from support.formula_model import EVERY_SIZE
+from support.formula_model import EVERY_FAMILY, EVERY_SIZE, family_architecture
 from support.small_families import COSTLY, EVERY_SMALL, SMALL_FAMILIES
 from torch.profiler import ProfilerActivity, profile
 from torch.utils.flop_counter import FlopCounterMode

@@ -73,7 +73,7 @@ def load_runtime(
     if precision not in COARSE:
         resolve_precision(precision, torch.device("cpu"))
         precision = "fp32"
-    engine = _imported_engine(runtime, precision)
+    engine = imported_engine(runtime, precision)
     from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 
     used = quantization if precision == "int8" else None
@@ -98,7 +98,7 @@ def load_export(export: Export, runtime: str, *, device: str, precision: str) ->
             f"Runtime {runtime[:40]!r} cannot run an export to ONNX, which is run as it is. Use runtime "
             "'auto', 'onnxruntime' or 'openvino', or the .pt."
         )
-    engine = _imported_engine(runtime, "fp32")
+    engine = imported_engine(runtime, "fp32")
     from yolov5_lifecycle.runtimes.exported_runtime import ExportedRuntime
 
     return ExportedRuntime.load(export, engine, device=device)
@@ -122,7 +122,7 @@ def _check_coarse(runtime: str, precision: str, quantization: Quantization | Non
         )
 
 
-def _imported_engine(runtime: str, precision: str) -> Engine:
+def imported_engine(runtime: str, precision: str) -> Engine:
     """The engine of `runtime`. Raises RuntimeAbsentError.
 
     Imported here because the packages are optional. A package that does not fit another one, such as numpy,
