@@ -13,14 +13,13 @@ import pytest
 from support.random_model import TINY, random_model
 
 from yolov5_lifecycle.runtimes import registry
-from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.cache import cache_folder, installed_build
 from yolov5_lifecycle.runtimes.registry import (
     REQUIREMENTS,
-    RuntimeAbsentError,
     installed_runtimes,
     load_runtime,
 )
+from yolov5_lifecycle.runtimes.speed import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
 INSTALLED = installed_runtimes()
@@ -187,7 +186,7 @@ def test_a_runtime_that_is_not_installed_says_how_to_install_it(
     runtime: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(registry, "installed_build", lambda _: None)
-    with pytest.raises(RuntimeAbsentError) as refusal:
+    with pytest.raises(DeviceError) as refusal:
         load_runtime(random_model(), runtime, device="cpu", precision="auto")
     command = f"{sys.executable} -m pip install {' '.join(REQUIREMENTS[runtime])}"
     assert f"Runtime '{runtime}' is not installed" in str(refusal.value)
@@ -214,7 +213,5 @@ def test_a_runtime_that_fails_when_imported_is_not_chosen_and_says_why(
 
 
 def test_an_unknown_runtime_is_refused_with_those_there_are() -> None:
-    with pytest.raises(
-        RuntimeAbsentError, match="one of auto, torch, onnxruntime, openvino, found 'tensorrt'"
-    ):
+    with pytest.raises(DeviceError, match="one of auto, torch, onnxruntime, openvino, found 'tensorrt'"):
         load_runtime(random_model(0, TINY), "tensorrt", device="cpu", precision="auto")

@@ -17,7 +17,7 @@ from support.random_model import TINY, random_model
 from support.runtime_names import COMPILED_RUNTIMES
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes import compiler
+from yolov5_lifecycle.runtimes import compiled_runtime
 from yolov5_lifecycle.runtimes.cache import CompiledStore
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.unfinished import hold
@@ -190,7 +190,7 @@ def test_another_processor_or_build_is_compiled_for_by_itself(
     part: str, runtime_name: str, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     predictions(random_model(1), runtime_name)
-    monkeypatch.setattr(compiler, part, lambda *_: "another")
+    monkeypatch.setattr(compiled_runtime, part, lambda *_: "another")
     predictions(random_model(1), runtime_name)
     assert len(list(cache.iterdir())) == 2
 

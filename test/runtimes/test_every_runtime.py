@@ -30,11 +30,11 @@ from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.compiler import Compiler, Loaded, Threads
-from yolov5_lifecycle.runtimes.networks_by_shape import Shape, are_zero
+from yolov5_lifecycle.runtimes.cache import CompiledStore
+from yolov5_lifecycle.runtimes.compiled_runtime import DetectionHead
+from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
-from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 
 FRAMES = [random_frame(), 255 - random_frame(), random_frame()[::-1].copy()]
 FRAME = FRAMES[0]
@@ -232,17 +232,12 @@ def test_lanes_are_closed_one_by_one_and_outlive_the_runtime_that_they_come_from
 
 @pytest.mark.parametrize("name", ["onnxruntime", "openvino"])
 def test_lanes_share_one_compiled_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled: list[Threads] = []
-    original = Compiler.network
-
-    def counted(compiler: Compiler, shape: Shape, threads: Threads) -> Loaded:
-        compiled.append(threads)
-        return original(compiler, shape, threads)
-
-    monkeypatch.setattr(Compiler, "network", counted)
+    read: list[str] = []
+    monkeypatch.setattr(CompiledStore, "read", lambda _, key: read.append(key))
+    monkeypatch.setattr(CompiledStore, "keep", lambda *_: None)
     for lane in loaded(random_model(1), name).lanes(3, threads=2):
         lane(FRAME, "rgb")
-    assert compiled == [Threads(each=2, at_once=3)]
+    assert len(read) == 1
 
 
 def test_torch_uses_the_threads_of_a_lane_only_in_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:

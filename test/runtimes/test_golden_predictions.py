@@ -34,11 +34,10 @@ from yolov5_lifecycle.checkpoints.pickled_objects import modules_of
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.models.network import Network, fuse
-from yolov5_lifecycle.runtimes.compiler import Threads
+from yolov5_lifecycle.runtimes.compiled_runtime import DetectionHead, Threads
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.registry import imported_engine
-from yolov5_lifecycle.runtimes.sparse_head import DetectionHead
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
 
