@@ -92,7 +92,7 @@ def check_cost(architecture: Architecture, image_size: int = 320) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", [*SIZES, *EVERY_FAMILY])
 def test_the_cost_is_what_torch_counts_and_allocates(name: str) -> None:
-    check_cost(SIZES[name] if name in SIZES else family_architecture(name))  # type: ignore[index]
+    check_cost(SIZES[name] if name in SIZES else family_architecture(name))
 
 
 @pytest.mark.long

@@ -99,7 +99,8 @@ def test_all_that_are_likely_enough_are_given_in_their_order_and_few_others(
 @pytest.mark.parametrize("least", [0.999, 1.0])
 def test_none_is_given_when_none_is_likely_enough(least: float, runtime: Runtime) -> None:
     rows = runtime(FRAME, "rgb", least).rows
-    assert (rows.shape, rows.dtype) == ((0, 5 + len(CLASS_NAMES)), np.float32)
+    assert rows.shape == (0, 5 + len(CLASS_NAMES))
+    assert rows.dtype == np.float32
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.2, 0.9])

@@ -100,12 +100,10 @@ VALUES: dict[str, tuple[bytes, str]] = {
         asm.short_bytes(b"os") + text("system") + asm.STACK_GLOBAL,
         "a name that is not text",
     ),
-    "a name of nothing": (asm.STACK_GLOBAL, "is damaged"),
     "a name after another one": (
         stacked_name("models.yolo", "Model") + text("system") + asm.STACK_GLOBAL,
         "a name that is not text",
     ),
-    "a name that is not UTF-8": (b"cmodels.\xff\nModel\n", "contains an invalid string"),
     "data outside of the file": (b"\x97", "NEXT_BUFFER"),
     "an object with named arguments": (name("models.yolo", "Model") + items() + b"}\x92", "NEWOBJ_EX"),
     "INST of Python 1": (b"(" + SHELL + b"ios\nsystem\n", "INST"),
@@ -125,22 +123,18 @@ VALUES: dict[str, tuple[bytes, str]] = {
     "an array of 16 EiB": (asm.byte_array(b"abc", claimed=(1 << 64) - 1), "cut short"),
     "bytes in the place of the checkpoint": (asm.short_bytes(b"model"), f"{NO_CHECKPOINT}, found a bytes"),
     "bytes cut short": (b"B\xff\xff\xff\x7fabc", "cut short"),
-    "a short text that is cut short": (b"\x8c\xffabc", "cut short"),
     "a text that is not UTF-8": (b"X\x02\x00\x00\x00\xff\xff", "contains an invalid string"),
     "a text of 16 EiB": (b"\x8d" + b"\xff" * 8 + b"abc", "uses BINUNICODE8"),
     "a frame of 16 EiB": (asm.frame(mapping({}), claimed=(1 << 64) - 1), "cut short"),
-    "a frame behind the end": (asm.frame(mapping({}), claimed=100), "cut short"),
     "a frame in a frame": (asm.frame(asm.frame(mapping({})) + mapping({})), "cannot be read"),
     "a frame that ends within a text": (asm.frame(text("models"), claimed=8), "cannot be read"),
     "a pickle without an end": (MARK * 1000, "is damaged"),
-    "a memo of nothing": (asm.MEMOIZE, "is damaged"),
     "a memo that was never written": (get(5), "damaged"),
     "a memo entry number of 4 billion": (
         mapping({"model": text("x") + put(2**32 - 1)}),
         "expected a YOLOv5 model",
     ),
     "an item without a value": (EMPTY_DICT + MARK + text("a") + b"u", "cannot be read"),
-    "items without a mark": (EMPTY_SET + asm.ADDITEMS, "is damaged"),
     "an item added to a model": (
         instance("models.yolo", "Model", {}) + MARK + number(1) + asm.ADDITEMS,
         "changes a models.yolo.Model",
@@ -164,7 +158,6 @@ VALUES: dict[str, tuple[bytes, str]] = {
         mapping({"model": instance("models.yolo", "Model", {"_parameters": EMPTY_LIST})}),
         "expected a dict as _parameters",
     ),
-    "a parameter that is a text": (model(text("x")), "expected tensors"),
     "a number of 2,000 bits": (mapping({"model": number(1 << 2000)}), "expected a YOLOv5 model"),
     "bytes as a key": (EMPTY_DICT + asm.short_bytes(b"model") + number(1) + SETITEM, "keys that are neither"),
     "a set of 65 items": (
@@ -183,7 +176,6 @@ VALUES: dict[str, tuple[bytes, str]] = {
 
 TENSORS: dict[str, tuple[bytes, str]] = {
     "4 Ti numbers in 16 bytes": (tensor((1 << 42,)), "tensors claim"),
-    "more numbers than fit a size": (tensor((1 << 62, 1 << 62), (1, 1)), "cannot be read"),
     "stride 0": (tensor((1 << 40,), (0,)), "has the strides"),
     "negative stride": (tensor((4,), (-1,)), "cannot be read"),
     "a size that no number of bytes has": (tensor((0, 1 << 61, 1 << 61), (1, 1, 1)), "has the shape"),
@@ -191,10 +183,6 @@ TENSORS: dict[str, tuple[bytes, str]] = {
     "a size that is a text": (call(name("torch._utils", "_rebuild_tensor_v2"), text("x")), "cannot be read"),
     "a storage of 1 Ti numbers": (tensor(stored=storage(1 << 40)), "claims 4398046511104 bytes, but has 16"),
     "a storage of no numbers": (tensor(stored=storage(0)), "number 3 of 0"),
-    "a storage of fewer numbers than it has": (
-        tensor((2,), stored=storage(2)),
-        "claims 8 bytes, but has 16",
-    ),
     "a storage of half a number": (
         tensor(stored=storage(numel=b"G" + struct.pack(">d", 0.5))),
         "a tensor has the size 0.5",
@@ -202,7 +190,6 @@ TENSORS: dict[str, tuple[bytes, str]] = {
     "an offset behind the end": (tensor((1,), offset=4), "number 4 of 4"),
     "an offset before the beginning": (tensor((1,), offset=-1), "a tensor has the size -1"),
     "more strides than sizes": (tensor((4,), (1, 1)), "has the strides [1, 1]"),
-    "17 dimensions": (tensor((1,) * 17, (1,) * 17), "has the strides"),
     "a list in place of a storage": (tensor(stored=EMPTY_LIST), "cannot be read"),
     "a storage that is not there": (
         tensor(stored=storage(key="../../version")),

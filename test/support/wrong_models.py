@@ -51,16 +51,6 @@ def of_head(**attributes: object) -> Callable[[], bytes]:
     return changed(lambda model: vars(head(model)).update(attributes))
 
 
-def tensor(key: str, change: Callable[[torch.Tensor], object]) -> Callable[[], bytes]:
-    """The parameter or buffer `key` of the first convolution after `change`, in place."""
-    return changed(lambda model: change(_first(model)[key].data))
-
-
-def _first(model: Any) -> dict[str, Any]:
-    inside = vars(layers_of(model)["0"])["_modules"]
-    return {**dict(inside["conv"].named_parameters()), **inside["bn"].state_dict(keep_vars=True)}
-
-
 def module_at(model: Any, path: str) -> Any:
     for name in path.split("."):
         model = vars(model)["_modules"][name]
@@ -174,11 +164,6 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "ensemble": (ensemble, "it is an Ensemble of 2 models, and one model is expected: use the .pt of one"),
     "dict in place of the model": (lambda: saved({"model": {"a": 1}}), "expected a YOLOv5 model under"),
     "bare state dict": (lambda: saved(state_dict()), "a bare state dict"),
-    "state dict as the model": (lambda: saved({"model": state_dict()}), "a bare state dict"),
-    "model without layers": (
-        lambda: saved({"model": foreign("models.yolo.Model", _modules={})}),
-        "without layers",
-    ),
     "ultralytics model": (
         lambda: saved({"model": foreign("ultralytics.nn.tasks.DetectionModel")}),
         "belongs to the ultralytics package",
@@ -195,8 +180,6 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "DataParallel of nothing": (lambda: saved({"model": data_parallel(None)}), "expected a model inside"),
     "DataParallel of itself": (data_parallel_of_itself, "one that contains itself"),
-    "row that is another module": (row(1, -1, 1, "nn.MaxPool2d", [2, 2, 0]), "expected MaxPool2d"),
-    "grey images": (yaml(ch=1), "model.0.conv.weight has the shape"),
     "images of four channels": (yaml(ch=4), "reads images of 4 channels"),
     "never trained": (
         anchors([[[0.0, 0.25], [0.5, 0.75]], [[0.0, 0.125], [0.25, 0.375]]]),
@@ -205,9 +188,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "YOLOv7": (head_named("models.yolo.IDetect"), "another project, named YOLOv7"),
     "unknown head": (head_named("models.custom.MyHead"), "'MyHead', not supported"),
     "unknown block": (layer_named("models.custom.MyBlock"), "is a 'MyBlock', expected C3"),
-    "Focus in the yaml only": (row(0, -1, 1, "Focus", [64, 3]), "is a 'Conv', expected Focus"),
     "sum of layers": (row(0, -1, 1, "Sum", [2]), "none of its models uses as a layer"),
-    "even ghost": (row(0, -1, 1, "GhostConv", [64, 4, 2]), "has the arguments [64, 4, 2]"),
     "pool without arguments": (row(1, -1, 1, "nn.MaxPool2d", []), "the kernel of layer 1"),
     "uneven padding": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 2]]), "not supported"),
     "padding that fits nothing": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 1]]), "of different sizes"),
@@ -215,8 +196,6 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "too few channels for squares": (row(1, -1, 1, "Expand", [8]), "8 channels cannot become squares"),
     "windows that descend": (row(4, -1, 1, "SPP", [64, [9, 5]]), "has the arguments"),
     "expansion NaN": (row(2, -1, 3, "C3", [64, True, 1, NAN]), "has the arguments"),
-    "groups that do not divide": (row(2, -1, 3, "C3", [64, True, 3]), "no network can be built"),
-    "stride of nine": (row(1, -1, 1, "Conv", [64, 3, 9]), "the stride of layer 1"),
     "attention that shares badly": (
         changed(lambda model: model.yaml["backbone"].__setitem__(2, [-1, 1, "C3TR", [64, True, 1, 0.7]])),
         "cannot be divided among 4 attention heads",
@@ -233,65 +212,36 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         first_layer("_modules", act=foreign("models.common.SiLU")),
         "is a 'SiLU': the model was trained with another activation",
     ),
-    "slope NaN": (first_layer("_modules", act=nn.LeakyReLU(NAN)), "negative_slope is nan"),
     "fused": (changed(fuse_all), "saved after fuse()"),
-    "a million classes": (of_head(nc=1_000_000), "the number of classes"),
     "classes as a text": (of_head(nc="3"), "expected an integer from 1 to 10000, found '3'"),
-    "more outputs than classes": (of_head(no=40), "gives 40 numbers per box"),
-    "other number of classes": (of_head(nc=4, no=9), "expected names of 4 classes"),
     "two names": (own(names=["cat", "dog"]), "expected names of 3 classes, found 2 names"),
-    "no names": (own(names=None), "expected names of 3 classes"),
     "name that is an object": (
         own(names=["cat", foreign("models.common.Conv"), "cow"]),
         "strings or numbers, found a models.common.Conv: set model.names",
     ),
-    "names of other numbers": (own(names={1: "cat", 2: "dog", 3: "cow"}), "from 0 to 2, found 3: set"),
-    "no strides": (own(stride=None), "expected the strides of 1 to 8 levels"),
     "too many strides": (own(stride=torch.ones(9)), "expected the strides of 1 to 8 levels"),
-    "half a stride": (own(stride=torch.tensor([4.5, 8])), "expected strides from 1 to 1024"),
     "stride NaN": (own(stride=torch.tensor([NAN, 8])), "expected strides from 1 to 1024"),
     "other strides": (own(stride=torch.tensor([8.0, 16])), "but its layers produce"),
     "strides that repeat one number": (own(stride=torch.ones(1).expand(8)), "found the shape (2, 2, 2)"),
     "no anchors": (changed(lambda model: vars(head(model))["_buffers"].clear()), "expected anchors"),
     "flat anchors": (anchors([[1.0, 2], [3, 4]]), "expected anchors (width, height) for 2 levels"),
-    "anchor NaN": (anchors([[[NAN, 2.0], [3, 4]], [[1, 2], [3, 4]]]), "anchors"),
-    "anchor zero": (anchors([[[0.0, 2], [3, 4]], [[1, 2], [3, 4]]]), "anchors of positive width"),
     "three anchors for a head of two": (anchors([[[1.0, 2]] * 3] * 2), "model.8.m.0.weight has the shape"),
-    "weight NaN": (tensor("weight", lambda weight: weight.view(-1)[0].fill_(NAN)), "not finite"),
-    "negative variance": (tensor("running_var", lambda variance: variance.fill_(-1)), "negative variances"),
-    "surplus tensor": (
-        first_layer("_parameters", extra=nn.Parameter(torch.ones(1))),
-        "'model.0.extra' belongs to no layer",
-    ),
     "yaml missing": (own(yaml=None), "expected a dict as the model's yaml"),
     "yaml without a backbone": (yaml(backbone=None), "expected a list of layers as backbone"),
-    "yaml of 201 layers": (yaml(backbone=[[-1, 1, "Conv", [64]]] * 201), "found 2"),
     "yaml that contains itself": (recursive_yaml, "as layer 5, found"),
-    "depth multiple as a text": (yaml(depth_multiple="1"), "depth_multiple from 0.01 to 10, found '1'"),
     "row of three": (row(0, -1, 1, "Conv"), "[from, number, module, arguments] as layer 0"),
-    "row that reads a later layer": (row(1, 5, 1, "Conv", [64, 3, 2]), "the input of layer 1"),
-    "channels of a million": (row(0, -1, 1, "Conv", [1_000_000, 6, 2]), "the channels of layer 0"),
-    "a million repeats": (row(2, -1, 1_000_000, "C3", [64]), "the number of layer 2"),
-    "repeated upsampling": (row(4, -1, 9, "nn.Upsample", ["None", 2, "nearest"]), "is repeated 3 times"),
-    "two heads": (row(4, -1, 1, "Detect", []), "expected one Detect or Segment layer, the last, found 2"),
     "slope of 7": (child("model.1", act=nn.LeakyReLU(7.0)), "act.negative_slope is 7.0, expected 0 to 1"),
     "epsilon": (setting("model.2.cv1.bn", eps=1e-5), "model.2.cv1.bn.eps is 1e-05, expected 0.001"),
-    "no epsilon": (setting("model.2.cv1.bn", eps=None), "eps is None, expected 0.001"),
     "stride": (
         setting("model.1.conv", stride=(1, 1)),
         "model.1.conv.stride is [1, 1], expected [2, 2]",
     ),
-    "stride of a tuple": (setting("model.1.conv", stride=((2,), 2)), "model.1.conv.stride"),
-    "padding": (setting("model.1.conv", padding=(0, 0)), "padding is [0, 0], expected [1, 1]"),
     "dilation": (setting("model.1.conv", dilation=(2, 2)), "dilation is [2, 2]"),
     "padding mode": (setting("model.1.conv", padding_mode="reflect"), "'reflect', expected 'zeros'"),
     "pool": (setting("model.4.m", kernel_size=9), "model.4.m.kernel_size is 9, expected 5"),
-    "upsampling": (setting("model.5", mode="bilinear"), "model.5.mode is 'bilinear'"),
     "scale": (setting("model.5", scale_factor=3.0), "scale_factor is 3.0, expected 2.0"),
     "axis": (setting("model.6", d=2), "model.6.d is 2, expected 1"),
-    "no shortcut": (setting("model.2.m.0", add=False), "m.0.add is False, expected True"),
     "shortcut": (setting("model.7.m.0", add=True), "m.0.add is True, expected False"),
-    "wiring": (setting("model.6", f=[-1, 1]), "model.6 reads other layers"),
     "levels swapped": (setting("model.8", f=[4, 7]), "model.8 reads other layers"),
     "no wiring": (setting("model.6", f=None), "the input of layer 6"),
     "one module more": (
