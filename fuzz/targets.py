@@ -10,12 +10,13 @@ from functools import cache, partial
 
 import numpy as np
 import torch
-from support import hostile_archives, hostile_costs, hostile_onnx, hostile_safetensors
+from support import hostile_archives, hostile_onnx, hostile_safetensors
 from support import pickle_assembler as asm
-from support.checkpoint_builder import official_model, saved, stripped
+from support.checkpoint_builder import SMALL, official_model, saved, stripped
 from support.compressed_files import KINDS, compressed
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
-from support.small_families import EVERY_SMALL
+from support.random_model import random_model
+from support.small_families import COSTLY, EVERY_SMALL
 
 from fuzz import data_files, depth_stream, described_files, tracked_images
 from fuzz.refusals import taken
@@ -26,6 +27,7 @@ from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
+from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH
 from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.head import Segment
@@ -224,15 +226,19 @@ def _header() -> bytes:
     return text
 
 
+def _costly() -> Iterator[Architecture]:
+    """Networks that would take up the memory although their files are small."""
+    return (architecture for architecture, _ in COSTLY.values() if architecture.classes == SMALL.classes)
+
+
 def _costly_pickles() -> Iterator[bytes]:
-    """Of networks that would take up the memory although their files are small."""
-    for architecture in hostile_costs.SMALL_FILES:
-        yield hostile_archives.pickle_of(hostile_costs.checkpoint(architecture))
+    for architecture in _costly():
+        yield hostile_archives.pickle_of(saved(stripped(official_model(architecture))))
 
 
 def _costly_headers() -> Iterator[bytes]:
-    for architecture in hostile_costs.SMALL_FILES:
-        yield hostile_safetensors.cut(hostile_costs.safetensors(architecture))[0]
+    for architecture in _costly():
+        yield hostile_safetensors.cut(hostile_safetensors.written(random_model(0, architecture)))[0]
 
 
 def _defaults() -> bytes:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import itertools
 import os
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -81,17 +79,13 @@ def test_a_home_folder_that_does_not_exist_is_refused(weights: str, folder: str)
 
 
 def test_when_nothing_is_found_both_paths_and_the_remedy_are_named(tmp_path: Path) -> None:
+    folder = tmp_path / "my models"
     with pytest.raises(WeightsError) as refused:
-        find_weights(weights="", weights_dir=tmp_path, model_size="m6")
+        find_weights(weights="", weights_dir=folder, model_size="m6")
     message = str(refused.value)
-    for part in (tmp_path / "yolov5m6.safetensors", tmp_path / "yolov5m6.pt", "`weights`"):
+    for part in (folder / "yolov5m6.safetensors", folder / "yolov5m6.pt", "`weights`"):
         assert str(part) in message
-    assert f"`fetch_weights m6 --dir {tmp_path}`" in message
-
-
-def test_the_remedy_can_be_typed_for_a_folder_with_a_space(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match=r"`fetch_weights n --dir '.*/my models'`"):
-        find_weights(weights="", weights_dir=tmp_path / "my models", model_size="n")
+    assert f"`fetch_weights m6 --dir '{folder}'`" in message
 
 
 def test_a_dangling_link_is_found_and_then_reported(tmp_path: Path) -> None:
@@ -108,11 +102,6 @@ def test_a_file_is_what_its_bytes_say(good: Path) -> None:
     assert loaded.model.class_names == CLASS_NAMES
 
 
-def test_a_variable_in_a_path_is_explained() -> None:
-    with pytest.raises(WeightsError, match=r"variables as in \$HOME are not replaced here: write ~"):
-        load_weights(Path("$HOME/best.pt"))
-
-
 _FETCHED = "`fetch_weights {}` downloads this model"
 _DOWNLOADED = "download it, and write the path of the file; `fetch_weights n` downloads an official"
 
@@ -122,9 +111,7 @@ _DOWNLOADED = "download it, and write the path of the file; `fetch_weights n` do
     [
         pytest.param("https://github.com/v7.0/yolov5n.pt", _FETCHED.format("n"), id="official"),
         pytest.param("HTTPS://Mirror.example/YOLOv5S6.PT", _FETCHED.format("s6"), id="in capitals"),
-        pytest.param("http://host/yolov5m-seg.pt", _FETCHED.format("m-seg"), id="segmentation"),
         pytest.param("https://me:secret@host/best.pt?raw=1", _DOWNLOADED, id="own model"),
-        pytest.param(f"s3://bucket/{'x' * 300}", _DOWNLOADED, id="bucket"),
         pytest.param("file:///home/me/my%20model.pt", "write '/home/me/my model.pt'", id="file"),
         pytest.param("File://localhost/home/best.pt", "write /home/best.pt", id="file of this host"),
         pytest.param("FILE://~/best.pt", "write ~/best.pt", id="file at home"),
@@ -167,18 +154,12 @@ def test_the_right_digest_is_accepted_in_any_case(good: Path, write: Callable[[s
     assert load_weights(good, sha256=write(digest)).sha256 == digest
 
 
-@pytest.mark.parametrize("digest", ["0" * 64, "0", "no digest"], ids=["another", "short", "no hex"])
-def test_another_digest_is_refused_with_both(good: Path, digest: str) -> None:
-    message = refusal(good, sha256=digest)
-    assert digest in message
-    assert hashlib.sha256(good.read_bytes()).hexdigest() in message
-
-
 def test_the_digest_of_a_file_is_that_of_its_bytes_with_or_without_one_to_compare(good: Path) -> None:
     digest = hashlib.sha256(good.read_bytes()).hexdigest()
     assert weights_digest(good) == weights_digest(good, sha256=digest) == digest
-    with pytest.raises(WeightsError, match=digest):
-        weights_digest(good, sha256="0" * 64)
+    for look in (weights_digest, load_weights):
+        with pytest.raises(WeightsError, match=f"{digest}, expected 00.*another file; get the right one"):
+            look(good, sha256="0" * 64)
 
 
 def test_the_digest_is_checked_before_anything_is_read_out_of_the_file(tmp_path: Path) -> None:
@@ -204,8 +185,8 @@ def _too_large(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "make", "message"),
     [
-        pytest.param("a.pt", lambda path: None, "no such file", id="missing"),
-        pytest.param("no/a.pt", lambda path: None, "no such file", id="folder missing"),
+        pytest.param("no/a.pt", lambda path: None, "no such file: check the path for a", id="missing"),
+        pytest.param("$HOME/a.pt", lambda path: None, "$HOME are not replaced here: write ~", id="variable"),
         pytest.param("a.pt", Path.mkdir, "expected a regular file, found a folder", id="folder"),
         pytest.param("a.pt", os.mkfifo, "expected a regular file", id="pipe"),
         pytest.param("a.pt", _link_to_pipe, "expected a regular file", id="link to a pipe"),
@@ -218,9 +199,8 @@ def _too_large(path: Path) -> None:
         pytest.param("a\0.pt", lambda path: None, "NUL character", id="NUL"),
         pytest.param("a.pt", Path.touch, "the file is empty", id="empty pt"),
         pytest.param("a.pth", Path.touch, "the file is empty", id="empty pth"),
-        pytest.param("a.safetensors", Path.touch, "found 0 bytes", id="empty safetensors"),
         pytest.param("a.onnx", Path.touch, "no ONNX model (it has no graph)", id="empty onnx"),
-        pytest.param("a.engine", Path.touch, "is a TensorRT export: use the .pt", id="export"),
+        pytest.param("a.ENGINE", Path.touch, "is a TensorRT export: use the .pt", id="export"),
         pytest.param(
             "a.txt", Path.touch, "ends in .safetensors, .pt, .pth, .onnx, found '.txt'", id="suffix"
         ),
@@ -249,30 +229,6 @@ def test_a_file_that_was_written_to_meanwhile_is_refused(good: Path, monkeypatch
 
     monkeypatch.setattr(os, "fstat", touched)
     assert "changed while it was read" in refusal(good)
-
-
-def test_a_file_that_is_rewritten_all_the_time_is_read_or_refused(tmp_path: Path) -> None:
-    contents = []
-    for seed in (1, 2):
-        write_safetensors(random_model(seed), tmp_path / "one.safetensors")
-        contents.append((tmp_path / "one.safetensors").read_bytes())
-    path, stopped = tmp_path / "changing.safetensors", threading.Event()
-    path.write_bytes(contents[0])
-
-    def rewrite() -> None:
-        while not stopped.is_set():
-            for content in contents:
-                path.write_bytes(content)
-
-    writer = threading.Thread(target=rewrite)
-    writer.start()
-    try:
-        for _ in range(50):
-            with contextlib.suppress(WeightsError):
-                assert load_weights(path).model.class_names == CLASS_NAMES
-    finally:
-        stopped.set()
-        writer.join()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

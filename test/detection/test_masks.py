@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import ArrayLike, NDArray
 from support.colcon_workspace import REPOSITORY
-from support.families import family_network, family_pixels
+from support.formula_model import family_network, family_pixels
 from support.reference_masks import reference_mask, whole_mask
 
 from yolov5_lifecycle.detection.masks import Masks

@@ -66,7 +66,12 @@ def test_layers_that_make_no_network_are_refused(layer: object) -> None:
         pytest.param(["a", "b"], "found 2 names", id="too few"),
         pytest.param({0: "a", 1: "b", 3: "c"}, "numbered from 0 to 2, found 3", id="a number too large"),
         pytest.param(["a", "b", "c" * (MAX_NAME_LENGTH + 1)], "201 characters, more than 200", id="too long"),
+        pytest.param(["a", "b", "\x1b" * 200], "name of 800 characters, more than 200", id="escapes"),
         pytest.param(["a", "b", ["c"]], "strings or numbers, found a list", id="a list"),
+        pytest.param(["a", "b", 10**300], "found a huge number", id="a huge number"),
+        pytest.param({0: "a", "0": "b"}, "found two with the same index", id="an index twice"),
+        pytest.param({-1: "a", False: "b"}, "from 0 to 2, found -1", id="a negative number"),
+        pytest.param({False: "a"}, "from 0 to 2, found False", id="a truth value"),
     ],
 )
 def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:

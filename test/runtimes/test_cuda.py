@@ -59,19 +59,6 @@ def test_on_cuda_earlier_predictions_stay_as_they_are_and_sizes_may_alternate() 
         np.testing.assert_allclose(raw, on_cpu(2, frame), rtol=2e-3, atol=2e-3)
 
 
-@needs_cuda
-@pytest.mark.parametrize(("precision", "scores", "boxes_px"), [("fp32", 2e-3, 0.1), ("fp16", 2e-2, 1.0)])
-def test_on_cuda_frames_have_the_predictions_that_they_have_on_the_cpu(
-    precision: str, scores: float, boxes_px: float
-) -> None:
-    runtime = on_cuda(2, precision)
-    frames = list(np.random.default_rng(3).integers(0, 256, (4, 64, 96, 3), np.uint8))
-    for frame in frames:
-        raw, expected = runtime(frame, "bgr").rows, on_cpu(2, frame, "bgr")
-        np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=1e-3, atol=boxes_px)
-        np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=scores)
-
-
 @pytest.mark.skipif(torch.cuda.device_count() < 2, reason="torch sees no second CUDA device")
 def test_a_second_gpu_records_what_it_predicts_itself() -> None:
     for device in ("cuda:0", "cuda:1"):

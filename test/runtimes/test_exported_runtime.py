@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 from numpy.typing import NDArray
 from onnx import numpy_helper
 from support import hostile_onnx
 from support.checkpoint_builder import SMALL
-from support.compiled_networks import engine
 from support.formula_model import expected_predictions, formula_model, formula_pixels
 from support.onnx_exports import BOX_PX, FINE, NAMES, STRIDE, exported, small_export, weights
 from support.random_model import random_network
@@ -22,8 +22,7 @@ from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.head import Segment
-from yolov5_lifecycle.runtimes.compiler import Threads
-from yolov5_lifecycle.runtimes.networks_by_shape import are_zero, denormals_as_zero
+from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
 from yolov5_lifecycle.runtimes.registry import load_export
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
@@ -75,9 +74,9 @@ def expected_rows(
     [
         pytest.param({}, id="fixed"),
         pytest.param({"size_hw": None, "batch": None}, id="dynamic"),
-        pytest.param({"batch": 2}, id="batch of 2"),
         pytest.param({"is_half": True}, id="fp16"),
         pytest.param({"masks": 4}, id="masks"),
+        pytest.param({"masks": 4, "batch": 2}, id="masks, batch of 2"),
     ],
 )
 def test_rows_are_those_of_a_slow_reference(
@@ -91,7 +90,10 @@ def test_rows_are_those_of_a_slow_reference(
     least = float(np.sort(scores)[2:4].mean())
     likely = expected_rows(pixels, has_objectness=has_objectness, masks=masks, least=least)
     assert 0 < len(likely) < len(everything)
-    np.testing.assert_allclose(runtime(pixels, "rgb").rows, everything, rtol=tolerance, atol=tolerance)
+    predictions = runtime(pixels, "rgb")
+    np.testing.assert_allclose(predictions.rows, everything, rtol=tolerance, atol=tolerance)
+    if masks:
+        np.testing.assert_allclose(prototypes(predictions), convolved(pixels, masks, FINE), atol=1e-4)
     found = runtime(pixels[..., ::-1].copy(), "bgr", least).rows
     np.testing.assert_allclose(found, likely, rtol=tolerance, atol=tolerance)
 
@@ -99,21 +101,6 @@ def test_rows_are_those_of_a_slow_reference(
 def prototypes(predictions: Predictions) -> NDArray[np.float32]:
     assert predictions.compute_prototypes is not None
     return predictions.compute_prototypes()
-
-
-def test_prototypes_are_those_of_a_slow_reference(runtime_name: str) -> None:
-    found = loaded(runtime_name, masks=4)(frame(), "rgb")
-    np.testing.assert_allclose(prototypes(found), convolved(frame(), 4, FINE), atol=1e-4)
-
-
-@pytest.mark.parametrize("batch", [None, 1, 2])
-def test_a_frame_has_the_same_predictions_in_an_export_of_any_batch(
-    runtime_name: str, batch: int | None
-) -> None:
-    found = loaded(runtime_name, batch=batch, masks=4)(frame(), "rgb")
-    expected = expected_rows(frame(), has_objectness=True, masks=4, least=0.0)
-    np.testing.assert_allclose(found.rows, expected, atol=1e-4)
-    np.testing.assert_allclose(prototypes(found), convolved(frame(), 4, FINE), atol=1e-4)
 
 
 def test_a_dynamic_export_takes_any_size(runtime_name: str) -> None:
@@ -187,7 +174,6 @@ def test_a_graph_that_the_engine_cannot_run_is_told(runtime_name: str) -> None:
     ("wish", "told"),
     [
         pytest.param({"runtime": "torch"}, "Use runtime 'auto', 'onnxruntime' or 'openvino'", id="torch"),
-        pytest.param({"runtime": "tensorrt"}, "Use runtime 'auto', 'onnxruntime'", id="unknown"),
         pytest.param({"precision": "int8"}, "Use precision 'auto', or the .pt", id="int8"),
         pytest.param({"precision": "fp16"}, "run as it is, this one in fp32", id="another precision"),
         pytest.param({"device": "cuda:0"}, "Use device 'cpu' or the .pt", id="GPU"),
@@ -200,14 +186,14 @@ def test_what_an_export_cannot_be_is_refused(wish: dict[str, str], told: str) ->
 
 
 @pytest.mark.long  # torch exports a network of full size
-@pytest.mark.parametrize("size", ["n", "s", "n6"])
+@pytest.mark.parametrize("size", ["n", "n6"])
 def test_an_export_predicts_what_the_official_network_predicts(size: str) -> None:
     expected = expected_predictions(size)
     height, width = expected.input_shape[2:]
     export = read_onnx(exported(formula_model(size).network(), size_hw=(height, width)))
-    with denormals_as_zero():
-        run = engine("onnxruntime").restore(export.graph, Threads(each=2)).new_run()
-        expected.check(run(formula_pixels(expected.input_shape).numpy())[export.boxes][0])
+    session = onnxruntime.InferenceSession(export.graph)
+    outputs = session.run(None, {"images": formula_pixels(expected.input_shape).numpy()})
+    expected.check(outputs[export.boxes][0])
 
 
 @pytest.mark.long  # torch exports a network
@@ -215,13 +201,10 @@ def test_an_export_predicts_what_the_official_network_predicts(size: str) -> Non
     ("architecture", "options"),
     [
         pytest.param(SMALL, {"era": "v6.0", "opset": 12}, id="v6.0"),
-        pytest.param(SMALL, {"opset": 11}, id="v7.0, opset 11"),
         pytest.param(SMALL, {"opset": 17}, id="v7.0, opset 17"),
         pytest.param(SMALL, {"era": "raw with boxes"}, id="with raw outputs"),
-        pytest.param(SMALL, {"is_dynamic": True, "opset": 12}, id="dynamic, opset 12"),
-        pytest.param(SMALL, {"is_dynamic": True, "opset": 17}, id="dynamic, opset 17"),
+        pytest.param(SMALL, {"is_dynamic": True, "opset": 11}, id="dynamic, opset 11"),
         pytest.param(SMALL, {"is_half": True}, id="half"),
-        pytest.param(SMALL_FAMILIES["segmentation"], {}, id="segmentation"),
         pytest.param(SMALL_FAMILIES["segmentation"], {"is_dynamic": True}, id="dynamic segmentation"),
         pytest.param(SMALL_FAMILIES["ghost"], {}, id="a family that was not read before"),
     ],

@@ -32,14 +32,6 @@ def used(networks: NetworksByShape[str], shape: Shape) -> str:
         return name
 
 
-def test_a_shape_is_made_once() -> None:
-    maker = Maker()
-    networks = NetworksByShape(maker)
-    names = [used(networks, shape) for shape in ((64, 96), (96, 64), (32, 96), (64, 96))]
-    assert names == ["64x96", "96x64", "32x96", "64x96"]
-    assert maker.made == [(64, 96), (96, 64), (32, 96)]
-
-
 def test_of_five_shapes_the_one_that_was_used_longest_ago_is_evicted() -> None:
     maker = Maker()
     networks = NetworksByShape(maker)
@@ -59,14 +51,6 @@ def test_a_camera_that_changes_its_size_with_every_frame_evicts_none_of_the_othe
         for shape in (*SHAPES, (320, 32 * width)):
             used(networks, shape)
     assert len(maker.made) == len(set(maker.made))
-
-
-def test_no_more_are_kept_than_was_asked_for() -> None:
-    maker = Maker()
-    networks = NetworksByShape(maker, kept=2)
-    for shape in (*SHAPES, *SHAPES):
-        used(networks, shape)
-    assert maker.made == [*SHAPES, *SHAPES]
 
 
 def test_after_the_close_a_frame_is_refused_and_the_one_in_progress_goes_on() -> None:

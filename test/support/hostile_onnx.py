@@ -107,21 +107,9 @@ def branch(model: Any) -> None:
     add(node("If", "images", then_branch=inner, else_branch=inner))(model)
 
 
-def loop(model: Any) -> None:
-    add(node("Loop", "", "", body=helper.make_graph([], "inner", [], [])))(model)
-
-
-def function(model: Any) -> None:
-    model.functions.add(name="f", domain="own")
-
-
 def reads_itself(model: Any) -> None:
     first = model.graph.node[0]
     first.input[0] = first.output[0]
-
-
-def two_inputs(model: Any) -> None:
-    model.graph.input.add(name="scores")
 
 
 def read_bytes_of_images(model: Any) -> None:
@@ -193,10 +181,7 @@ def shape(*sizes: int) -> Callable[[], bytes]:
 FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "it has no graph"),
     "text": (lambda: b"not an export" * 9, "damaged, cut short or no ONNX model"),
-    "first half": (lambda: small_export()[: len(small_export()) // 2], "damaged, cut short or no ONNX model"),
-    "endless integer": (lambda: b"\xff" * 64, "an integer without end"),
     "a field of 8 EiB": (lambda: b"\x3a" + b"\xff" * 8 + b"\x7f", "a field claims"),
-    "a million nodes": (lambda: glued(field(1, b"") * 1_000_000), "more than 200,000 fields"),
     "a million inputs of a node": (
         lambda: glued(field(1, field(1, b"") * 1_000_000)),
         "more than 200,000 fields",
@@ -205,15 +190,13 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
         changed(lambda model: setattr(model.graph.node[0], "name", "x" * (8 << 20))),
         "bytes besides the raw numbers",
     ),
-    "eight million packed dimensions": (
-        lambda: glued(field(5, field(1, b"\x01" * (8 << 20)))),
-        "bytes besides the raw numbers",
-    ),
     "30,000 nodes": (lambda: glued(field(1, b"") * 30_000), "has 30,000 operations"),
     "2,000 messages deep": (deep, "damaged, cut short or no ONNX model"),
     "a branch": (changed(branch), "branches or loops"),
-    "a loop": (changed(loop), "branches or loops"),
-    "a function": (changed(function), "it has functions"),
+    "a function": (
+        changed(lambda model: model.functions.add(name="f", domain="own")),
+        "it has functions",
+    ),
     "a node that reads itself": (changed(reads_itself), "which nothing makes"),
     "an output that nothing makes": (
         changed(lambda model: model.graph.output.add(name="y")),
@@ -223,7 +206,6 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
         changed(lambda model: setattr(model.graph.node[0], "domain", "com.evil")),
         "has operations of 'com.evil'",
     ),
-    "an unknown operation": (changed(add(node("Cnov", "images"))), "has the operation 'Cnov'"),
     "random numbers": (changed(add(node("RandomNormal", shape=[9]))), "has the operation 'RandomNormal'"),
     "boxes selected": (
         changed(add(node("NonMaxSuppression", "rows", "rows"))),
@@ -238,11 +220,6 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "a constant in another file": (changed(other_file_of_a_constant), "lie in another file"),
     "an array of 16 Ti numbers": (dimensions(1 << 22, 1 << 22), "of shape [4194304, 4194304] has"),
     "an array of negative size": (dimensions(-1), "has the shape [-1]"),
-    "an array of nine dimensions": (dimensions(*[1] * 9), "has the shape [1, 1"),
-    "an array of texts": (
-        changed(lambda model: setattr(array(model), "data_type", 8)),
-        "holds numbers of kind 8",
-    ),
     "strides of 0": (
         changed(lambda model: attribute(model, "strides").ints.__setitem__(0, 0)),
         "strides that are not positive",
@@ -251,26 +228,14 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
         changed(add(node("Expand", "one", "sizes"), one=[1.0], sizes=[1 << 30])),
         "would make an array of shape [1073741824]",
     ),
-    "a constant of 2^60 elements": (
-        changed(add(node("ConstantOfShape", "sizes"), sizes=[1 << 30, 1 << 30])),
-        "would make an array of shape",
-    ),
     "a range without end": (
         changed(add(node("Range", "zero", "end", "step"), zero=0.0, end=1e30, step=1e-30)),
         "cannot be computed: ValueError: Maximum allowed size exceeded",
-    ),
-    "images 2^16 times as large": (
-        changed(add(node("Resize", "images", "", "scales"), scales=np.array([1, 1, 256, 256], np.float32))),
-        "would make an array of shape",
     ),
     "forty times twice as much": (doubling(), "would make an array of shape"),
     "sizes that depend on the image": (
         changed(add(node("Reshape", "images", "places"), node("Cast", "images", output="places", to=7))),
         "which nothing makes",
-    ),
-    "as many as the image says": (
-        changed(add(node("Cast", "images", output="many", to=7), node("Tile", "images", "many"))),
-        "cannot be told",
     ),
     "a shape after 2,100 computations": (
         changed(
@@ -288,13 +253,10 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "does not fit its inputs",
     ),
     "preprocessing": (changed(read_bytes_of_images), "of the element type 2"),
-    "two inputs": (changed(two_inputs), "found 2 inputs"),
+    "two inputs": (changed(lambda model: model.graph.input.add(name="scores")), "found 2 inputs"),
     "four channels": (shape(1, 4, 64, 96), "found [1, 4, 64, 96]"),
     "a batch of 65": (shape(65, 3, 64, 96), "found [65, 3, 64, 96]"),
     "images without pixels": (shape(1, 3, 0, 96), "multiples of it, up to 4096"),
-    "images of 8192 pixels": (shape(1, 3, 64, 8192), "multiples of it, up to 4096"),
-    "images of no multiple": (shape(1, 3, 64, 80), "multiples of it, up to 4096"),
-    "a stride that is a text": (metadata(stride="many"), "found 'many'"),
     "poses": (metadata(task="pose"), "was made for the task 'pose'"),
     "boxes selected in the head": (metadata(end2end="True"), "end2end=False"),
     "raw outputs": (
@@ -303,7 +265,5 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "a classifier": (changed(no_boxes), "expected boxes of three dimensions"),
     "boxes of another meaning": (changed(classes_of_boxes), "they have another meaning"),
-    "another number of names": (metadata(names="['a']"), "they have another meaning"),
     "no names": (metadata(names="[]"), "they have another meaning"),
-    "10,001 names": (metadata(names=str([1] * 10_001)), "they have another meaning"),
 }

@@ -16,14 +16,20 @@ from safetensors.torch import save
 
 from support.checkpoint_builder import SMALL
 from support.random_model import random_model
-from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.checkpoints.safetensors_file import MAX_HEADER_BYTES, write_safetensors
+from yolov5_lifecycle.models.model import Model
 
 
 @functools.cache
 def valid() -> bytes:
+    return written(random_model(0, SMALL))
+
+
+def written(model: Model) -> bytes:
+    """The bytes of the file that `model` becomes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "valid.safetensors"
-        write_safetensors(random_model(0, SMALL), path)
+        write_safetensors(model, path)
         return path.read_bytes()
 
 
@@ -65,48 +71,55 @@ def metadata(**changes: object) -> Callable[[], bytes]:
 
 def architecture(**changes: object) -> Callable[[], bytes]:
     """A valid file whose architecture says something else."""
+    return _described(lambda described: described.update(changes))
 
-    def change(entries: dict[str, Any]) -> None:
+
+def layer(index: int, *row: object) -> Callable[[], bytes]:
+    """A valid file whose architecture has another row [from, number, kind, arguments] as layer `index`."""
+    return _described(lambda described: described["layers"].__setitem__(index, row))
+
+
+def _described(change: Callable[[dict[str, Any]], object]) -> Callable[[], bytes]:
+    def changed(entries: dict[str, Any]) -> None:
         described = json.loads(entries["__metadata__"]["architecture"])
-        entries["__metadata__"]["architecture"] = json.dumps(described | changes)
-
-    return header(change)
-
-
-def arguments(layer: int, changed: list[int]) -> Callable[[], bytes]:
-    """A valid file whose architecture has other arguments for `layer`."""
-
-    def change(entries: dict[str, Any]) -> None:
-        described = json.loads(entries["__metadata__"]["architecture"])
-        described["layers"][layer][-1] = changed
+        change(described)
         entries["__metadata__"]["architecture"] = json.dumps(described)
 
-    return header(change)
+    return header(changed)
+
+
+CONVOLUTION, VARIANCES, ANCHORS = "model.0.conv.weight", "model.0.bn.running_var", "model.8.anchors"
 
 
 def first_tensor(**changes: object) -> Callable[[], bytes]:
-    return header(lambda entries: entries["model.0.conv.weight"].update(changes))
+    return header(lambda entries: entries[CONVOLUTION].update(changes))
 
 
-def number_in_first_tensor(value: float) -> bytes:
-    entries, tensors = parted(valid())
-    entry = entries["model.0.conv.weight"]
-    assert entry["dtype"] == "F32"
-    start = entry["data_offsets"][0]
-    return joined(entries, tensors[:start] + struct.pack("<f", value) + tensors[start + 4 :])
+def number(key: str, value: float) -> Callable[[], bytes]:
+    """A valid file with another number at the beginning of the tensor `key`."""
+
+    def make() -> bytes:
+        entries, tensors = parted(valid())
+        start = entries[key]["data_offsets"][0]
+        packed = struct.pack({"F16": "<e", "F32": "<f"}[entries[key]["dtype"]], value)
+        return joined(entries, tensors[:start] + packed + tensors[start + len(packed) :])
+
+    return make
 
 
 def overlapping(entries: dict[str, Any]) -> None:
     entries["model.0.bn.bias"]["data_offsets"] = entries["model.0.bn.weight"]["data_offsets"]
 
 
-def overlapping_by_name(entries: dict[str, Any]) -> None:
-    entries["\x1b[2J"] = {"dtype": "F32", "shape": [1], "data_offsets": [4, 8]}
+def reinterpreted(entries: dict[str, Any]) -> None:
+    """The bytes of two float32 as one int64."""
+    shape = entries[CONVOLUTION]["shape"]
+    entries[CONVOLUTION].update(dtype="I64", shape=[*shape[:-1], shape[-1] // 2])
 
 
-def deep_json() -> bytes:
-    text = b"[" * 100_000
-    return struct.pack("<Q", len(text)) + text
+def without_data(entries: dict[str, Any]) -> None:
+    """A tensor of no layer, which would be refused for its place in the file if it were read."""
+    entries["\x1b[2J"] = {"dtype": "F32", "shape": [1 << 29], "data_offsets": [1 << 40, 1 << 41]}
 
 
 def escaped_objects() -> bytes:
@@ -115,43 +128,89 @@ def escaped_objects() -> bytes:
     return glued(text.replace(b"@", rb"\u007b\"\":0}\u002c" * 800_000), tensors)
 
 
+_DEEP = "[" * 100_000
 FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "found 0 bytes"),
     "header of 16 EiB": (lambda: b"\xff" * 8 + b"{}", "its header does not fit"),
-    "header of 17 MiB": (lambda: struct.pack("<Q", 17 << 20) + bytes(17 << 20), "its header does not fit"),
-    "first half": (lambda: valid()[: len(valid()) // 2], "cut short"),
-    "only the header": (lambda: joined(parted(valid())[0], b""), "damaged, or cut short"),
-    "trailing bytes": (lambda: valid() + b"more", "damaged, or cut short"),
-    "JSON, 100,000 deep": (deep_json, "its header is not JSON"),
-    "foreign file": (
-        lambda: save({"weight": torch.ones(3)}, {"format": "pt"}),
-        "not written by this package",
+    "header larger than any": (
+        lambda: struct.pack("<Q", MAX_HEADER_BYTES + 1) + bytes(MAX_HEADER_BYTES + 1),
+        "its header does not fit",
     ),
-    "overlapping tensors": (header(overlapping), "damaged, or cut short"),
-    "tensor beyond the end": (first_tensor(data_offsets=[0, 1 << 40]), "damaged, or cut short"),
-    "tensor that ends before it begins": (first_tensor(data_offsets=[100, 0]), "damaged, or cut short"),
-    "tensor of negative offset": (first_tensor(data_offsets=[-8, 0]), "damaged, or cut short"),
-    "name that clears the screen": (header(overlapping_by_name), "belongs to no layer"),
-    "tensor of 16 Ti numbers": (first_tensor(shape=[1 << 22, 1 << 22]), "has the shape (4194304, 4194304)"),
-    "tensor of negative size": (first_tensor(shape=[-1]), "has the shape [-1]"),
-    "weight NaN": (lambda: number_in_first_tensor(math.nan), "not finite"),
-    "architecture, 100,000 deep": (metadata(architecture="[" * 100_000), "entry architecture is missing"),
-    "a number of 10,000 digits": (metadata(architecture="9" * 10_000), "entry architecture is missing"),
-    "201 layers": (
-        architecture(layers=[[[-1], 1, "Conv", [64]]] * 201),
-        "expected 1 to 200 layers, found 201",
-    ),
-    "a million channels": (architecture(layers=[[[-1], 1, "Conv", [1_000_000]]]), "the channels of layer 0"),
-    "even window": (arguments(4, [64, 4]), "has the arguments [64, 4]"),
-    "a million repeats": (architecture(layers=[[[-1], 1_000_000, "C3", [64]]]), "the number of layer 0"),
-    "100,000 strides": (architecture(strides=[8] * 100_000), "equally many anchors"),
+    "header that is a list": (lambda: glued(b"[[]]", b""), "its header is [a list]"),
+    "header, 100,000 deep": (lambda: glued(_DEEP.encode(), b""), "its header is not JSON"),
     "header of two million objects": (
         lambda: glued(b'{"x":[' + b'{"":0},' * 2_000_000 + b"0]}", b""),
         "not JSON of at most 500000 values",
     ),
+    "an HTML page": (lambda: b"<!DOCTYPE html><html></html>", "its header does not fit"),
+    "first half": (lambda: valid()[: len(valid()) // 2], "cut short"),
+    "trailing bytes": (lambda: valid() + b"more", "damaged, or cut short"),
+    "foreign file": (lambda: save({"a": torch.ones(3)}, {"format": "pt"}), "not written by this package"),
+    "metadata that are a list": (
+        header(lambda entries: entries.update(__metadata__=[1])),
+        "not written by this package",
+    ),
+    "overlapping tensors": (header(overlapping), "damaged, or cut short"),
+    "tensor of no layer": (header(without_data), "'\\x1b[2J' belongs to no layer"),
+    "tensor that is missing": (header(lambda entries: entries.pop(CONVOLUTION)), "conv.weight is missing"),
+    "tensor that is a number": (header(lambda entries: entries.update(x=5)), "expected one of F16"),
+    "tensor beyond the end": (first_tensor(data_offsets=[0, 1 << 50]), "damaged, or cut short"),
+    "tensor of 16 Ti numbers": (first_tensor(shape=[1 << 22, 1 << 22]), "has the shape (4194304, 4194304)"),
+    "tensor of negative size": (first_tensor(shape=[-1]), "has the shape [-1]"),
+    "tensor without a shape": (first_tensor(shape=None), "has the shape None"),
+    "tensor of unknown numbers": (first_tensor(dtype="F8_E4M3"), "holds 'F8_E4M3', expected one of"),
+    "floats read as integers": (header(reinterpreted), "has the shape (8, 3, 6, 3)"),
+    "NaN": (number(CONVOLUTION, math.nan), "not finite"),
+    "negative variance": (number(VARIANCES, -1), "negative variances"),
+    "anchor without width": (number(ANCHORS, 0), "positive width and height"),
+    "another anchor": (number(ANCHORS, 9), "are not those of the architecture"),
+    "architecture that is no JSON": (metadata(architecture="{"), "entry architecture is missing or damaged"),
     "architecture of 800,000 objects, escaped": (escaped_objects, "has more than 500000 values"),
-    "class names that are lists": (
+    "a number of 10,000 digits": (metadata(architecture="9" * 10_000), "entry architecture is missing"),
+    "names that are lists": (
         metadata(class_names='["a", [], "c"]'),
-        "found a list: convert the original",
+        "found a list: convert the original .pt again",
+    ),
+    "one class more": (architecture(classes=4), "names of 4 classes, found 3 names"),
+    "other strides": (architecture(strides=[8, 16]), "the strides are [8, 16], but its layers"),
+    "100,000 strides": (architecture(strides=[8] * 100_000), "equally many anchors"),
+    "no anchors": (architecture(anchors_px=[]), "equally many anchors"),
+    "anchors of empty levels": (architecture(anchors_px=[[], []]), "anchors of a level: expected"),
+    "anchors without heights": (architecture(anchors_px=[[[1]], [[1]]]), "architecture is damaged"),
+    "anchors beyond all numbers": (architecture(anchors_px=[[[10**400, 1]]] * 2), "architecture is damaged"),
+    "width that is a text": (architecture(width_multiple="1"), "width_multiple from 0.01 to 10"),
+    "201 layers": (
+        architecture(layers=[[[-1], 1, "Conv", [8]]] * 201),
+        "expected 1 to 200 layers, found 201",
+    ),
+    "layers that are a dict": (architecture(layers={"a": 1}), "architecture is damaged"),
+    "images of two channels": (architecture(image_channels=2), "reads images of 2 channels"),
+    "no channel multiple": (architecture(channel_multiple=0), "the channel_multiple"),
+    "activation": (architecture(activation="eval"), "expected an activation"),
+    "activation with a steep slope": (architecture(activation="LeakyReLU(9)"), "expected an activation"),
+    "fused as a number": (architecture(is_fused=1), "true or false as is_fused"),
+    "fused": (architecture(is_fused=True), "model.0.conv.bias is missing"),
+    "activation of what has none": (
+        architecture(other_activations=[["model.0.bn", "ReLU"]]),
+        "there is no activation at model.0.bn",
+    ),
+    "another kind": (layer(0, [-1], 1, "Focus", [64, 3]), "model.0.conv.conv.weight is missing"),
+    "even kernel at stride 1": (layer(0, [-1], 1, "Conv", [64, 6]), "not supported"),
+    "even window": (layer(4, [-1], 1, "SPPF", [64, 4]), "has the arguments [64, 4]"),
+    "repeats that do not fit": (layer(0, [-1], 9, "Conv", [64, 6, 2]), "cannot be repeated"),
+    "a million repeats": (layer(2, [-1], 10**6, "C3", [64]), "the number of layer 2"),
+    "shortcut of 2": (layer(2, [-1], 3, "C3", [64, 2]), "not supported"),
+    "layer that reads itself": (layer(0, [0], 1, "Conv", [64, 6, 2]), "the input of layer 0"),
+    "layer that reads what comes before the first": (layer(1, [-3], 1, "Conv", [8]), "the input of layer 1"),
+    "layer that reads nothing": (layer(1, [], 1, "Conv", [64, 3, 2]), "reads 0 layers"),
+    "sizes that differ": (layer(6, [-1, 0], 1, "Concat", []), "joins layers of different"),
+    "no head": (layer(8, [-1], 1, "Conv", [64, 1, 1]), "expected one Detect or"),
+    "many prototypes": (
+        layer(8, [7, 4], 1, "Segment", [257, 64]),
+        "coefficients of masks of layer 8: expected an integer from 1 to 256",
+    ),
+    "masks that are not there": (
+        layer(8, [7, 4], 1, "Segment", [8, 64]),
+        "model.8.m.0.weight has the shape",
     ),
 }

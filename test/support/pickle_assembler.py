@@ -79,15 +79,18 @@ def instance(module: str, cls: str, state: Mapping[str, bytes]) -> bytes:
     return name(module, cls) + EMPTY_TUPLE + NEWOBJ + mapping(state) + BUILD
 
 
-def storage(numel: int = 4, *, kind: str = "FloatStorage", key: str = "0") -> bytes:
-    return items(text("storage"), name("torch", kind), text(key), text("cpu"), number(numel)) + PERSID
+def storage(numel: int | bytes = 4, *, kind: str = "FloatStorage", key: str = "0") -> bytes:
+    count = number(numel) if isinstance(numel, int) else numel
+    return items(text("storage"), name("torch", kind), text(key), text("cpu"), count) + PERSID
 
 
-def tensor(size: Sequence[int] = (4,), stride: Sequence[int] = (1,), *, stored: bytes | None = None) -> bytes:
+def tensor(
+    size: Sequence[int] = (4,), stride: Sequence[int] = (1,), *, offset: int = 0, stored: bytes = b""
+) -> bytes:
     return call(
         name("torch._utils", "_rebuild_tensor_v2"),
         stored or storage(),
-        number(0),
+        number(offset),
         items(*map(number, size)),
         items(*map(number, stride)),
         b"\x89",

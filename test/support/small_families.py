@@ -1,4 +1,4 @@
-"""Small architectures in which every kind of layer occurs, quick to write and to read."""
+"""Small architectures: some in which every kind of layer occurs, and some that no machine could run."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ def _with(layers: Mapping[int, Layer], **changes: object) -> Architecture:
     return dataclasses.replace(SMALL, layers=changed, **changes)  # type: ignore[arg-type]  # of any field
 
 
-def _layer(kind: str, *args: int | tuple[int, ...], repeats: int = 1) -> Layer:
-    return Layer((-1,), repeats, kind, args)
+def _layer(
+    kind: str, *args: int | tuple[int, ...], repeats: int = 1, sources: tuple[int, ...] = (-1,)
+) -> Layer:
+    return Layer(sources, repeats, kind, args)
 
 
 SMALL_FAMILIES: Mapping[str, Architecture] = {
@@ -72,6 +74,60 @@ RESIZED = dataclasses.replace(
 )
 """One with the kinds that change the size of what they read."""
 EVERY_SMALL: Mapping[str, Architecture] = SMALL_FAMILIES | {"resized": RESIZED}  # type: ignore[operator]
+
+
+_JOIN = _layer("Concat", sources=(-1,) * 16)
+_UP, _EIGHTH = _layer("Upsample"), _layer("MaxPool2d", 8, 8, 0)
+_BEFORE_HEAD = len(SMALL.layers) - 1
+
+
+def _longer(*layers: Layer) -> Architecture:
+    """SMALL with more layers before the head, which reads none of them."""
+    return dataclasses.replace(SMALL, layers=(*SMALL.layers[:-1], *layers, SMALL.layers[-1]))
+
+
+_MANY_KEPT = _longer(
+    *(_UP, _UP),
+    *[_layer("Concat", sources=(_BEFORE_HEAD + 1,) * 16)] * 24,
+    *(_layer("MaxPool2d", 2, 2, 0, sources=(_BEFORE_HEAD + 2 + index,)) for index in range(24)),
+)
+_MANY_PREDICTIONS = dataclasses.replace(
+    SMALL,
+    classes=10_000,
+    anchors_px=(tuple((8.0 + anchor, 8.0) for anchor in range(32)),),
+    strides=(2,),
+    layers=(_layer("Conv", 64, 6, 2), _layer("Detect", sources=(0,))),
+)
+
+COSTLY: Mapping[str, tuple[Architecture, str]] = {
+    "five times 16 equal inputs": (
+        _longer(*[_JOIN] * 5),
+        "layer 10 (Concat) would have 33,554,432 elements for an image of 128x128, at most 4,194,304",
+    ),
+    "squares that become channels": (
+        _longer(_layer("Contract", 8), _layer("Contract", 8), _layer("Concat", sources=(9,) * 4)),
+        "layer 10 (Concat) would have 131,072 channels, at most 65,536",
+    ),
+    "six times twice the size": (
+        _longer(*[_UP] * 6, _EIGHTH, _EIGHTH),
+        "layer 12 (Upsample) would have 8,388,608 elements for an image of 128x128, at most 4,194,304",
+    ),
+    "a hundred times twice the size": (_longer(*[_UP] * 100), "layer 12 (Upsample) would have 8,388,608"),
+    "channels that become squares": (
+        _longer(*[_JOIN, _layer("Expand", 4)] * 10),
+        "layer 12 (Concat) would have 33,554,432 elements",
+    ),
+    "transposed convolutions": (
+        _longer(*[_layer("ConvTranspose2d", 64, 8, 8)] * 3),
+        "layer 9 (ConvTranspose2d) would have 33,554,432 elements",
+    ),
+    "24 large layers that are read again": (_MANY_KEPT, "layer 34 (MaxPool2d) would keep 208 MB of features"),
+    "10,000 classes, 32 anchors for every second pixel": (
+        _MANY_PREDICTIONS,
+        "layer 1 (Detect) would keep 15.7 GB of features and predictions for an image of 128x128, at most",
+    ),
+}
+"""Small ones that would take up the memory or the time of any machine, and what their refusal says."""
 
 
 def segmentation_checkpoint() -> bytes:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from yolov5_lifecycle.checkpoints.archive import PICKLE, Archive
-from yolov5_lifecycle.checkpoints.pickled_names import (
+from yolov5_lifecycle.checkpoints.pickled_objects import (
     ENCODE,
     GET_ATTRIBUTE,
     NUMPY_SCALARS,
@@ -26,9 +26,11 @@ from yolov5_lifecycle.checkpoints.pickled_names import (
     STORAGES,
     TENSOR_MAKER,
     TORCH_NAMES,
+    Storage,
+    StoredTensor,
+    Stub,
     check_names,
 )
-from yolov5_lifecycle.checkpoints.pickled_objects import Storage, StoredTensor, Stub
 from yolov5_lifecycle.models.model import WeightsError, first_line, shown
 
 MAX_PICKLE_BYTES = 4 << 20

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
-from yolov5_lifecycle.checkpoints.layer_settings import as_pickled, check_settings
 from yolov5_lifecycle.checkpoints.pickle_interpreter import unpickled
 from yolov5_lifecycle.checkpoints.pickled_model import (
     anchors_of,
+    as_pickled,
+    check_settings,
     classes_of,
     head_path,
     image_channels,

@@ -6,10 +6,10 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.models.cost import check_memory, checked_cost, size_multiple
 from yolov5_lifecycle.models.model import Export, Model
-from yolov5_lifecycle.runtimes.auto import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.registry import load_export, load_runtime
+from yolov5_lifecycle.runtimes.speed import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.torch_device import resolve_device
 
 
@@ -40,7 +40,7 @@ def load_detector(
     `quantization`, which precision int8 needs. With runtime `auto` the fastest is measured and cached, see
     `choose_runtime`.
 
-    Raises DeviceError, RuntimeAbsentError and QuantizationError (all ValueErrors), ValueError for the image
+    Raises DeviceError and QuantizationError (both ValueErrors), ValueError for the image
     size or if the memory is too small for it, InferenceError when measuring fails.
     """
     if isinstance(model, Export):

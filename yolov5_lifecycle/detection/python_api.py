@@ -38,8 +38,8 @@ def load_model(
     begin with ~ or package://PACKAGE. Sets no environment variable, unlike the commands; docs/performance.md
     says which matter.
 
-    Raises SettingsError with every invalid argument, WeightsError for the file, DeviceError and
-    RuntimeAbsentError, all ValueErrors; OSError; InferenceError.
+    Raises SettingsError with every invalid argument, WeightsError for the file, DeviceError also
+    for a runtime that is absent, all ValueErrors; OSError; InferenceError.
     """
     values: dict[str, object] = {**locals(), "weights": os.fspath(weights)}
     settings = validated({name: SETTINGS_BY_NAME[name].coerced(value) for name, value in values.items()})

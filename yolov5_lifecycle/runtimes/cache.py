@@ -7,13 +7,12 @@ import logging
 import os
 import platform
 import re
-import stat
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, atomic_write
-from yolov5_lifecycle.unfinished import open_itself, remove_abandoned
+from yolov5_lifecycle.unfinished import remove_abandoned
 
 MAX_BYTES = 1 << 30
 NO_PLACE = (OSError, RuntimeError)
@@ -32,22 +31,6 @@ def cache_folder(name: str) -> Path:
     cache = os.environ.get("XDG_CACHE_HOME", "")
     root = Path(cache if Path(cache).is_absolute() else "~/.cache")
     return root / "yolov5_lifecycle" / name
-
-
-def read_cache(path: Path, max_bytes: int, *, head_bytes: int = 0) -> tuple[bytes, bytes] | None:
-    """The first `head_bytes` and the rest of the file at `path`, which may begin with ~.
-
-    None unless it is a readable regular file of at most `max_bytes`: symlinks are not followed, and pipes or
-    devices do not block.
-    """
-    try:
-        with open(path.expanduser(), "rb", opener=open_itself) as file:
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode) or status.st_size > max_bytes:
-                return None
-            return file.read(head_bytes), file.read(status.st_size)
-    except NO_PLACE:
-        return None
 
 
 def write_cache(path: Path, *parts: bytes) -> None:
@@ -74,13 +57,14 @@ class CompiledStore:
 
     def read(self, key: str) -> bytes | None:
         """The content cached under `key`; None when it is missing or damaged."""
-        path = self._folder / key
-        found = read_cache(path, self._max_bytes, head_bytes=_DIGEST_BYTES)
-        if found is None:
+        try:
+            path = (self._folder / key).expanduser()
+            with path.open("rb") as file:
+                digest, kept = file.read(_DIGEST_BYTES), file.read()
+        except NO_PLACE:
             return None
-        digest, kept = found
-        with suppress(*NO_PLACE):  # owned by another user, or on a read-only file system
-            os.utime(path.expanduser(), follow_symlinks=False)
+        with suppress(OSError):  # owned by another user, or on a read-only file system
+            os.utime(path)
         return kept if hashlib.sha256(kept).digest() == digest else None
 
     def keep(self, key: str, content: bytes) -> None:
@@ -97,23 +81,19 @@ class CompiledStore:
             self._evict(self._folder.expanduser() / key)
 
     def _evict(self, newest: Path) -> None:
+        """Remove the other files used longest ago, until all take up at most `max_bytes`."""
+        found = []
+        for path in newest.parent.iterdir():
+            with suppress(OSError):  # another process may evict at the same time
+                status = path.lstat()
+                if _KEY.fullmatch(path.name) and path != newest:
+                    found.append((status.st_mtime, status.st_size, path))
         used_bytes = newest.stat().st_size
-        for size_bytes, path in _last_used_first(newest):
+        for _, size_bytes, path in sorted(found, reverse=True):
             used_bytes += size_bytes
             if used_bytes > self._max_bytes:
                 with suppress(OSError):
-                    path.unlink(missing_ok=True)
-
-
-def _last_used_first(newest: Path) -> list[tuple[int, Path]]:
-    """Size in bytes and path of the other cached files next to `newest`, most recently used first."""
-    found = []
-    for path in newest.parent.iterdir():
-        with suppress(OSError):  # another process may evict at the same time
-            status = path.lstat()
-            if _KEY.fullmatch(path.name) and stat.S_ISREG(status.st_mode) and path != newest:
-                found.append((status.st_mtime, status.st_size, path))
-    return [(size_bytes, path) for _, size_bytes, path in sorted(found, reverse=True)]
+                    path.unlink()
 
 
 def installed_build(package: str) -> str | None:

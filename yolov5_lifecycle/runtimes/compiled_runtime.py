@@ -1,9 +1,13 @@
-"""Runtime of the ONNX engines, which compile the network for each input shape."""
+"""Runtime of the ONNX engines, which compile the network for each input shape, with a cache on disk."""
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import pkgutil
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 from weakref import WeakValueDictionary
@@ -12,26 +16,74 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor, nn
 
+from yolov5_lifecycle import models, runtimes
 from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder
-from yolov5_lifecycle.runtimes.compiler import Compiler, Engine, Loaded, Run, Threads
-from yolov5_lifecycle.runtimes.networks_by_shape import (
-    MIN_KEPT,
-    NetworksByShape,
-    Shape,
-    closed,
-)
-from yolov5_lifecycle.runtimes.quantization import Quantization
+from yolov5_lifecycle.models.network import fuse
+from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
+from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, closed
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
+from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
-from yolov5_lifecycle.runtimes.sparse_head import Features
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
+_GRAPH_MAKERS = tuple(
+    f"{package.__name__}.{module.name}"
+    for package in (models, runtimes)
+    for module in pkgutil.iter_modules(package.__path__)
+    if package is models or module.name in ("onnx_graph", "quantization")
+)
+"""Modules on which the ONNX graph of a model depends."""
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 _TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
 
+Features = NDArray[np.float32]
+"""Feature map of one detection level, (batch, channels, ny, nx)."""
 Result = TypeVar("Result")
+
+_log = logging.getLogger(__name__)
+
+Run = Callable[[NDArray[np.generic]], Sequence[Features]]
+"""Planes (batch, 3 or 1, h, w), RGB or grey -> features of each level, which the next run may overwrite.
+
+Or features of the finest level (1, channels, ny, nx) -> prototypes (1, M, h, w).
+"""
+
+
+@dataclass(frozen=True)
+class Threads:
+    """Threads of the processor that a compiled network uses for each of the runs that are made at once."""
+
+    each: int
+    at_once: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A network in memory; `new_run` creates a run for one thread at a time, with buffers of its own.
+
+    Runs of one `Loaded` share its weights. Its `Threads` are for them together.
+    """
+
+    new_run: Callable[[], Run]
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An inference engine, named like its package; `build` and `restore` may raise `errors`.
+
+    `build` compiles a serialized ONNX model and also returns the bytes to cache, empty for none; `restore`
+    loads those bytes. They do not depend on the threads.
+    """
+
+    name: str
+    build: Callable[[bytes, Threads], tuple[Loaded, bytes]]
+    restore: Callable[[bytes, Threads], Loaded]
+    errors: tuple[type[Exception], ...]
+    precision: str = "fp32"
 
 
 class CompiledRuntime:
@@ -39,14 +91,14 @@ class CompiledRuntime:
 
     device = "cpu"
 
-    def __init__(self, shared: _Shared, engine: Engine, *, kept: int) -> None:
-        self.precision = engine.precision
-        self._segments = shared.compiler.proto is not None
-        self._engine = engine
+    def __init__(self, compiler: Compiler, threads: Threads, *, kept: int) -> None:
+        self.name, self.precision = compiler.engine.name, compiler.engine.precision
+        self._segments = compiler.proto is not None
+        self._errors = compiler.engine.errors
         self._kept = kept
-        self._shared: _Shared | None = shared
+        self._compiler: Compiler | None = compiler
         """None once closed."""
-        self._compiled = NetworksByShape(lambda shape: _Compiled(shared, shape), kept=kept)
+        self._compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape, threads), kept=kept)
 
     @classmethod
     def load(
@@ -63,13 +115,7 @@ class CompiledRuntime:
         Raises DeviceError for a device that the engine does not support, and QuantizationError.
         """
         check_processor(device, engine)
-        store = CompiledStore(cache_folder("compiled"))
-        compiler = Compiler(model, engine, store, quantization)
-        return cls(_Shared(compiler, processor_threads()), engine, kept=kept)
-
-    @property
-    def name(self) -> str:
-        return self._engine.name
+        return cls(Compiler(model, engine, quantization), processor_threads(), kept=kept)
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; the first frame of each size waits for the compiler."""
@@ -99,24 +145,21 @@ class CompiledRuntime:
                 return use(compiled)
         except InferenceError:  # it was closed
             raise
-        except self._engine.errors as error:
+        except self._errors as error:
             problem = str(error).partition("\n")[0]
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
 
     def lanes(self, count: int, threads: int) -> list[CompiledRuntime]:
         """See `Runtime`."""
-        shared = _Shared(self._open().compiler, Threads(threads, at_once=count))
-        return [CompiledRuntime(shared, self._engine, kept=self._kept) for _ in range(count)]
+        if (compiler := self._compiler) is None:
+            raise closed()
+        shared = Threads(threads, at_once=count)
+        return [CompiledRuntime(compiler, shared, kept=self._kept) for _ in range(count)]
 
     def close(self) -> None:
         """See `Runtime`."""
-        self._shared = None
+        self._compiler = None
         self._compiled.close()
-
-    def _open(self) -> _Shared:
-        if (shared := self._shared) is None:
-            raise closed()
-        return shared
 
 
 def check_processor(device: str, engine: Engine, *, otherwise: str = "runtime 'torch'") -> None:
@@ -133,46 +176,87 @@ def processor_threads() -> Threads:
     return Threads(torch.get_num_threads())
 
 
-class _Shared:
-    """What runtimes for the same `threads` have in common: each network is compiled once for all of them.
+class Compiler:
+    """Compiles the network of `model` with `engine`, in int8 with `quantization`, and caches the results.
 
-    It is freed with the last runtime that uses it.
+    `head` is the network's last layer, which is not compiled; `proto` its part that computes mask prototypes,
+    None if the network does not segment. Its images have `channels`, 3 or 1. What is compiled is loaded once
+    for all runtimes with the same `Threads`, and freed with the last of them.
+
+    Raises QuantizationError if `quantization` belongs to another network.
     """
 
-    def __init__(self, compiler: Compiler, threads: Threads) -> None:
-        self.compiler = compiler
-        self.threads = threads
+    def __init__(self, model: Model, engine: Engine, quantization: Quantization | None = None) -> None:
+        self._network = model.network().requires_grad_(False)
+        self._quantization = quantization
+        if quantization is not None:
+            quantization.check(convolutions(self._network))
+        self.channels = model.architecture.image_channels
+        self.engine = engine
+        self._store = CompiledStore(cache_folder("compiled"))
+        self._identity = _identity(model, engine, quantization)
+        detect = self._network.head
+        self.head = DetectionHead(detect)
+        self.proto = detect.proto if isinstance(detect, Segment) else None
         self._loading = threading.Lock()
-        self._loaded: WeakValueDictionary[str, Loaded] = WeakValueDictionary()
+        self._loaded: WeakValueDictionary[tuple[str, Threads], Loaded] = WeakValueDictionary()
 
-    def network(self, shape: Shape) -> Loaded:
-        """The network for frames of `shape`; raises the engine's errors."""
-        return self._one(f"{shape}", lambda: self.compiler.network(shape, self.threads))
+    def network(self, shape: Shape, threads: Threads) -> Loaded:
+        """The compiled network for frames of `shape`; raises the engine's errors."""
+        return self._one(str(shape), lambda: onnx_graph(self._network, shape, self._quantization), threads)
 
-    def prototypes(self, finest: Features) -> Loaded:
-        """The network's `proto` for features like `finest`; raises the engine's errors."""
+    def prototypes(self, finest: Features, threads: Threads) -> Loaded:
+        """The compiled `proto` for features like `finest`; raises the engine's errors."""
+        proto = self.proto
+        assert proto is not None
         _, channels, height, width = finest.shape
         shape = (1, channels, height, width)
-        return self._one(f"prototypes {shape}", lambda: self.compiler.prototypes(shape, self.threads))
+        return self._one(f"prototypes {shape}", lambda: prototype_graph(proto, shape), threads)
 
-    def _one(self, part: str, load: Callable[[], Loaded]) -> Loaded:
+    def _one(self, part: str, graph: Callable[[], bytes], threads: Threads) -> Loaded:
         with self._loading:
-            found = self._loaded.get(part)
+            found = self._loaded.get((part, threads))
             if found is None:
-                found = self._loaded[part] = load()
+                found = self._loaded[part, threads] = self._compiled(part, graph, threads)
             return found
+
+    def _compiled(self, part: str, graph: Callable[[], bytes], threads: Threads) -> Loaded:
+        key = hashlib.sha256(f"{self._identity} {part}".encode()).hexdigest()
+        kept = self._store.read(key)
+        if kept is not None:
+            try:
+                return self.engine.restore(kept, threads)
+            except self.engine.errors as error:
+                _log.warning("Compiling the model again, because the cached one cannot be loaded: %s", error)
+        fuse(self._network)
+        loaded, content = self.engine.build(graph(), threads)
+        if content:
+            self._store.keep(key, content)
+        return loaded
+
+
+def _identity(model: Model, engine: Engine, quantization: Quantization | None) -> str:
+    """A string of everything except the input shape on which a compiled model depends."""
+    weights = hashlib.sha256()
+    for name, tensor in sorted(model.state_dict.items()):
+        weights.update(name.encode() + tensor.numpy().tobytes())
+    makers = (engine.name, engine.build.__module__, *_GRAPH_MAKERS)
+    builds = [installed_build(maker) for maker in makers]
+    precision = (engine.precision, quantization.digest if quantization else "")
+    return repr([builds, processor(), model.architecture, weights.hexdigest(), precision])
 
 
 class _Compiled:
     """A compiled network for one input shape, with its input buffer."""
 
-    def __init__(self, shared: _Shared, shape: Shape) -> None:
-        self._shared = shared
-        self._loaded = shared.network(shape)
+    def __init__(self, compiler: Compiler, shape: Shape, threads: Threads) -> None:
+        self._compiler = compiler
+        self._threads = threads
+        self._loaded = compiler.network(shape, threads)
         self._run = self._loaded.new_run()
         self._loaded_proto: Loaded | None = None
         self._run_proto: Run | None = None
-        self._planes = np.empty((1, shared.compiler.channels, *shape), np.uint8)
+        self._planes = np.empty((1, compiler.channels, *shape), np.uint8)
 
     def features(self, frame: NDArray[np.uint8], order: Order) -> Sequence[Features]:
         """Features of all levels; the next run may overwrite them."""
@@ -181,12 +265,12 @@ class _Compiled:
 
     def rows(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
         """The predictions for the frame of `features`."""
-        return self._shared.compiler.head(features, min_objectness)
+        return self._compiler.head(features, min_objectness)
 
     def prototypes(self, finest: Features) -> NDArray[np.float32]:
         """Prototypes (M, h, w) from the features of the finest level."""
         if self._run_proto is None:
-            self._loaded_proto = self._shared.prototypes(finest)
+            self._loaded_proto = self._compiler.prototypes(finest, self._threads)
             self._run_proto = self._loaded_proto.new_run()
         (found,) = self._run_proto(finest)
         prototypes: NDArray[np.float32] = found[0].copy()  # the next run may overwrite them
@@ -207,3 +291,60 @@ def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint
         cv2.cvtColor(frame, _TO_GREY[order], dst=planes[0])
     else:
         cv2.split(frame, [planes[plane] for plane in _PLANES[order]])
+
+
+class DetectionHead:
+    """`Detect` and `Segment` in numpy: of 15,120 predictions per image, at most about 300 are evaluated.
+
+    Evaluating all would be a twelfth of the network's arithmetic and 5 MB to convert and pass on: together a
+    fifth of the time of yolov5n at 384x640.
+    """
+
+    def __init__(self, detect: Detect) -> None:
+        self._levels = [
+            _Level(convolution, anchors, stride, detect)
+            for convolution, anchors, stride in zip(detect.m, detect.anchors, detect.strides, strict=True)
+        ]
+
+    def __call__(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
+        """The rows specified by `Runtime`, all anchors of a cell at once, from the features of one image."""
+        with np.errstate(all="ignore"):  # NaN propagates to the caller, which checks the rows
+            min_logit = np.log(min_objectness) - np.log1p(-min_objectness)
+            rows = [
+                level.rows(known, np.flatnonzero(~(level.objectness(known) < min_logit)))
+                for level, known in zip(self._levels, features, strict=True)
+            ]
+        return np.concatenate(rows)
+
+
+class _Level:
+    """The 1x1 convolution of one level and the decoding of its output."""
+
+    def __init__(self, convolution: nn.Module, anchors: Tensor, stride: int, detect: Detect) -> None:
+        assert isinstance(convolution, nn.Conv2d)
+        assert convolution.bias is not None
+        shape = (len(anchors), detect.outputs, -1)
+        self._weights = convolution.weight.numpy().reshape(shape)  # (anchors, outputs, channels)
+        self._bias = convolution.bias.numpy().reshape(shape)  # (anchors, outputs, 1)
+        self._anchors_px = anchors.numpy()[:, None] * np.float32(stride)  # (anchors, 1, 2)
+        self._stride = stride
+        self._bounded = detect.outputs - detect.coefficients
+
+    def objectness(self, features: Features) -> NDArray[np.float32]:
+        """The highest objectness logit of every cell, (ny * nx)."""
+        logits = self._weights[:, 4] @ features.reshape(features.shape[1], -1) + self._bias[:, 4]
+        highest: NDArray[np.float32] = logits.max(axis=0)
+        return highest
+
+    def rows(self, features: Features, cells: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Predictions (anchors * n, outputs) of n cells; formula: see `Detect.decode`."""
+        _, channels, _, nx = features.shape
+        logits = self._weights @ features.reshape(channels, -1)[:, cells] + self._bias
+        rows = np.ascontiguousarray(logits.transpose(0, 2, 1))  # (anchors, n, outputs)
+        sigma = rows[..., : self._bounded]  # all but the coefficients of masks
+        sigma[:] = 1 / (1 + np.exp(-sigma))
+        cells_xy = np.stack((cells % nx, cells // nx), axis=-1).astype(np.float32)
+        sigma[..., :2] = (2 * sigma[..., :2] - 0.5 + cells_xy) * self._stride
+        sigma[..., 2:4] = (2 * sigma[..., 2:4]) ** 2 * self._anchors_px
+        predictions: NDArray[np.float32] = rows.reshape(-1, rows.shape[2])
+        return predictions

@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.runtimes.compiled_runtime import check_processor, processor_threads, write_planes
-from yolov5_lifecycle.runtimes.compiler import Engine, Loaded, Run, Threads
+from yolov5_lifecycle.runtimes.compiled_runtime import (
+    Engine,
+    Loaded,
+    Run,
+    Threads,
+    check_processor,
+    processor_threads,
+    write_planes,
+)
 from yolov5_lifecycle.runtimes.networks_by_shape import closed, denormals_as_zero
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 

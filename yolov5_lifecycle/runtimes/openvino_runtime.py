@@ -10,7 +10,7 @@ disable_telemetry()  # before the import below; a program that uses this package
 
 import openvino
 
-from yolov5_lifecycle.runtimes.compiler import Engine, Loaded, Run, Threads
+from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Loaded, Run, Threads
 
 _HINTS = {"fp32": "f32", "int8": "f32", "bf16": "bf16"}
 """Type that OpenVINO computes non-integer nodes in; by default it would use bfloat16 where supported."""

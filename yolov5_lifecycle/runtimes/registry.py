@@ -20,7 +20,7 @@ from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precisio
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
 if TYPE_CHECKING:
-    from yolov5_lifecycle.runtimes.compiler import Engine
+    from yolov5_lifecycle.runtimes.compiled_runtime import Engine
 
 REQUIREMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"torch": ("torch",), "onnxruntime": ("onnxruntime", "onnx"), "openvino": ("openvino", "onnx")}
@@ -36,10 +36,6 @@ COARSE = ("int8", "bf16")
 
 
 _MAX_PROBLEM = 200
-
-
-class RuntimeAbsentError(ValueError):
-    """An unknown runtime, or one that is not installed or broken; the message says how to install it."""
 
 
 def installed_runtimes() -> list[str]:
@@ -61,7 +57,7 @@ def load_runtime(
     Precision int8 needs a `quantization`. The `kept` most recently used networks for different input shapes
     are kept.
 
-    Raises RuntimeAbsentError, DeviceError and QuantizationError, all ValueErrors.
+    Raises DeviceError, also for an absent runtime, and QuantizationError, all ValueErrors.
     """
     if precision in COARSE:
         _check_coarse(runtime, precision, quantization)
@@ -69,11 +65,11 @@ def load_runtime(
         return TorchRuntime.load(model, device=device, precision=precision, kept=kept)
     if runtime not in REQUIREMENTS:
         words = ", ".join(("auto", *REQUIREMENTS))
-        raise RuntimeAbsentError(f"Runtime must be one of {words}, found {runtime[:40]!r}.")
+        raise DeviceError(f"Runtime must be one of {words}, found {runtime[:40]!r}.")
     if precision not in COARSE:
         resolve_precision(precision, torch.device("cpu"))
         precision = "fp32"
-    engine = _imported_engine(runtime, precision)
+    engine = imported_engine(runtime, precision)
     from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
 
     used = quantization if precision == "int8" else None
@@ -83,7 +79,7 @@ def load_runtime(
 def load_export(export: Export, runtime: str, *, device: str, precision: str) -> Runtime:
     """Load `export` in the runtime onnxruntime or openvino; `auto` is the first of them that is installed.
 
-    Raises RuntimeAbsentError and DeviceError, both ValueErrors; InferenceError if the runtime cannot load it.
+    Raises DeviceError, also for an absent runtime; InferenceError if the runtime cannot load it.
     """
     if precision not in ("auto", export.precision):
         raise DeviceError(
@@ -94,11 +90,11 @@ def load_export(export: Export, runtime: str, *, device: str, precision: str) ->
         present = [name for name in _FOR_EXPORTS if name in installed_runtimes()]
         runtime = (present or _FOR_EXPORTS)[0]
     if runtime not in _FOR_EXPORTS:
-        raise RuntimeAbsentError(
+        raise DeviceError(
             f"Runtime {runtime[:40]!r} cannot run an export to ONNX, which is run as it is. Use runtime "
             "'auto', 'onnxruntime' or 'openvino', or the .pt."
         )
-    engine = _imported_engine(runtime, "fp32")
+    engine = imported_engine(runtime, "fp32")
     from yolov5_lifecycle.runtimes.exported_runtime import ExportedRuntime
 
     return ExportedRuntime.load(export, engine, device=device)
@@ -122,8 +118,8 @@ def _check_coarse(runtime: str, precision: str, quantization: Quantization | Non
         )
 
 
-def _imported_engine(runtime: str, precision: str) -> Engine:
-    """The engine of `runtime`. Raises RuntimeAbsentError.
+def imported_engine(runtime: str, precision: str) -> Engine:
+    """The engine of `runtime`. Raises DeviceError.
 
     Imported here because the packages are optional. A package that does not fit another one, such as numpy,
     may raise anything.
@@ -151,9 +147,9 @@ def _engine(runtime: str, precision: str) -> Engine:
     return openvino_engine(precision)
 
 
-def _absent(runtime: str, state: str, problem: str, *flags: str) -> RuntimeAbsentError:
+def _absent(runtime: str, state: str, problem: str, *flags: str) -> DeviceError:
     install = shell_command(sys.executable, "-m", "pip", "install", *flags, *REQUIREMENTS[runtime])
-    return RuntimeAbsentError(
+    return DeviceError(
         f"Runtime '{runtime}' {state} ({problem.partition(chr(10))[0][:_MAX_PROBLEM]}). Install it with "
         f"{install}, or use 'auto'."
     )

@@ -1,23 +1,40 @@
-"""Speed measurement of runtimes."""
+"""Measured speed: of a network whole and in lanes; the fastest installed runtime, which is cached."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
+import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.registry import RuntimeAbsentError, load_runtime
+from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, installed_build, processor, write_cache
+from yolov5_lifecycle.runtimes.registry import (
+    COARSE,
+    COARSE_RUNTIME,
+    REQUIREMENTS,
+    installed_runtimes,
+    load_runtime,
+)
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
 
+# Next to one busy process, OpenVINO, up to 6 % faster alone, took 8 to 38 % longer than ONNX Runtime.
+_PATIENT_FIRST = ("onnxruntime", "openvino", "torch")
+_HARDLY_SLOWER = 1.15
 _ROUNDS = 9
 _WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
@@ -26,6 +43,82 @@ _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 Key = TypeVar("Key")
 Run = Callable[[], object]
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A runtime and the reason for choosing it."""
+
+    runtime: str
+    reason: str
+
+
+def choose_runtime(
+    model: Model,
+    *,
+    device: str,
+    precision: str,
+    frame_hw: tuple[int, int],
+    folder: Path | None = None,
+    measure: Callable[..., dict[str, float]] | None = None,
+) -> Choice:
+    """The runtime for `auto`: torch on a GPU; on a CPU the fastest at input size `frame_hw` in fp32.
+
+    Results are cached in `folder` (default: the user's cache), so each combination of architecture, input
+    size, installed packages and CPU is measured once. Raises DeviceError.
+    """
+    if precision in COARSE:
+        return Choice(COARSE_RUNTIME, f"the only one for {precision}")
+    torch_device = resolve_device(device)
+    resolve_precision(precision, torch_device)
+    installed = installed_runtimes()
+    if torch_device.type != "cpu":
+        return Choice("torch", f"the only one for {torch_device.type}")
+    if installed == ["torch"]:
+        return Choice("torch", "the only one installed")
+    record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
+    if (figures_ms := _read_figures(record, installed)) is not None:
+        return _fastest(figures_ms, f"cached in {record}")
+    figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
+    return _fastest(figures_ms, _write_figures(record, figures_ms))
+
+
+def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
+    """The runtime within 15 % of the fastest that degrades least next to busy processes."""
+    figures = ", ".join(f"{name} {ms:.1f} ms" for name, ms in sorted(figures_ms.items(), key=itemgetter(1)))
+    enough_ms = _HARDLY_SLOWER * min(figures_ms.values())
+    chosen = next(name for name in _PATIENT_FIRST if figures_ms.get(name, math.inf) <= enough_ms)
+    return Choice(chosen, f"{figures}; {origin}")
+
+
+def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
+    """Cache key of everything that affects speed; the weight values do not."""
+    packages = sorted({"numpy", *(package for runtime in installed for package in REQUIREMENTS[runtime])})
+    builds = [installed_build(package) for package in packages]
+    circumstances = [repr(model.architecture), frame_hw, builds, processor(), torch.get_num_threads()]
+    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
+
+
+def _read_figures(path: Path, installed: list[str]) -> dict[str, float] | None:
+    """Milliseconds by runtime; None for a missing or damaged file, which the next measurement replaces."""
+    try:
+        figures_ms = json.loads(path.expanduser().read_bytes())
+    except (*NO_PLACE, ValueError):
+        return None
+    if not isinstance(figures_ms, dict) or not figures_ms.keys() <= set(installed):
+        return None
+    if "torch" not in figures_ms or not all(isinstance(ms, float) and ms > 0 for ms in figures_ms.values()):
+        return None
+    return figures_ms
+
+
+def _write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
+    """Where the figures are from: measured, with the reason if they cannot be cached."""
+    try:
+        write_cache(path, json.dumps(figures_ms).encode() + b"\n")
+    except NO_PLACE as error:
+        return f"measured now, not cached: {error}"
+    return "measured now"
 
 
 @dataclass(frozen=True)
@@ -76,7 +169,7 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
         runtime = load_runtime(model, name, device="cpu", precision=precision)
         for _ in range(_WARM_UPS):
             runtime(frame, "rgb", _NOTHING_FOUND)
-    except (InferenceError, RuntimeAbsentError) as error:
+    except (InferenceError, DeviceError) as error:
         if name == "torch":
             raise
         _log.warning("Runtime '%s' was not measured, because it failed: %s", name, error)

@@ -6,7 +6,7 @@ import torch
 
 
 class DeviceError(ValueError):
-    """An absent or unsuitable device; the message lists alternatives and a fix."""
+    """An absent, unsuitable or broken device or runtime; the message lists alternatives and a fix."""
 
 
 def resolve_device(device: str) -> torch.device:

@@ -29,8 +29,9 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
 from yolov5_lifecycle.runtimes.processor_abilities import abilities
-from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, RuntimeAbsentError, installed_runtimes
+from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -91,7 +92,7 @@ def verdict(worth: Worth, image_size: int) -> str:
 def _run(arguments: argparse.Namespace, terminal: Terminal) -> str:
     """Write the calibration and return the summary."""
     if COARSE_RUNTIME not in installed_runtimes():
-        raise RuntimeAbsentError(
+        raise DeviceError(
             f"int8 runs in OpenVINO, which is not installed. Install it with {sys.executable} -m pip install "
             "openvino onnx"
         )

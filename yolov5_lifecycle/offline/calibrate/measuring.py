@@ -190,7 +190,7 @@ class Calibrating:
     """Calibrates `model` on letterboxed `images` of one size.
 
     Every other image is used for the ranges and the choice of layers, the rest for the measurements; fewer
-    than 20 are used for both. Raises RuntimeAbsentError, InferenceError and ValueError.
+    than 20 are used for both. Raises DeviceError, InferenceError and ValueError.
     """
 
     def __init__(
