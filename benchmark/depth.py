@@ -16,6 +16,7 @@ from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, ra
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
+from benchmark.report import options_of
 from yolov5_lifecycle.spatial.box_samples import inside, sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics
@@ -145,15 +146,13 @@ def print_costs() -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
+    """The argument parser."""
+    parser = options_of("depth", __doc__)
     parser.add_argument(
-        "--scenes",
-        type=int,
-        default=40,
-        help="scenes of each shape, a third of those of each solid (default 40)",
+        "--scenes", type=int, default=40, help="of each shape, a third of those of each solid"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the scenes (default 0; the constants were chosen with 100)"
+        "--seed", type=int, default=0, help="of the scenes; the constants were chosen with 100"
     )
     return parser
 

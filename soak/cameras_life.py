@@ -1,22 +1,24 @@
-"""Random actions on several cameras: some are steady, one is hostile."""
+"""Several cameras on one model, with random actions: some are steady, one is hostile."""
 
 from __future__ import annotations
 
 import time
+from array import array
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.srv import ListParameters
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
 from support.detector_process import NODE, scene_image
 
-from soak.camera_client import CameraClient, grey_image
-from soak.hostile_images import damaged_message, hostile_image, odd_image
+from soak.finding import Finding, number_of
+from soak.images import damaged_message, hostile_image, odd_image
 from soak.service_requests import Fuzz
-from soak.subject import Subject, camera
-from soak.track_ids import TrackIds
+from soak.subject import Sender, Subject, camera
 
 STEADY = ("front", "rear")
 """Cameras that never stop, and whose images must be detected whatever the others do."""
@@ -54,6 +56,11 @@ _DISTURBING: dict[str, tuple[Any, ...]] = {
     "no_such_setting": (1,),
     "max_rates": (1.0,),
 }
+_CHECK_EVERY = 20
+_MIN_SHARE = 0.95
+_MAX_GROWTH_MB = 20.0
+_WARM_UP = 4
+"""Memory growth is measured against the first of this many equal parts of the checks."""
 _BAD_VALUES = (-1, 2.5, "x", True, ["circle"], [1, 2])
 
 
@@ -68,8 +75,7 @@ class CamerasLife:
         self._processes = ExitStack()
         self._overrides: set[str] = set()
         self.problems: list[str] = []
-        self.track_ids = TrackIds()
-        self.clients = {name: CameraClient(subject, name, self.track_ids) for name in NAMES}
+        self.clients: dict[str, Sender] = {}
         self.done: Counter[str] = Counter()
         self._actions: dict[str, tuple[int, Callable[[], object]]] = {
             "refused cameras": (2, self._set_other_cameras),
@@ -90,6 +96,7 @@ class CamerasLife:
         self._subject.reset()
         self._set(cameras=NAMES, tracker="bytetrack")
         self._subject.bring_to("active")
+        self.clients |= {name: Sender(self._subject, name=name) for name in NAMES}
         for name in _SENDING:
             topic = f"{NODE}/{name}/image_raw"
             process = camera(self._subject.domain, topic, rate=RATE_HZ, width=320, height=240)
@@ -126,7 +133,7 @@ class CamerasLife:
         self._compare("status", {*self._subject.statuses()} - {""}, {*NAMES})
         self._compare("parameters", self._declared_overrides(), self._overrides)
         self._inherit_all(_HOSTILE)
-        self.clients[_HOSTILE].detect()
+        self.clients[_HOSTILE].send_whole()
 
     def _compare(self, what: str, found: Collection[str], expected: Collection[str]) -> None:
         if {*found} != {*expected}:
@@ -186,14 +193,7 @@ class CamerasLife:
         self._set(tracker=self._choose(["none", "bytetrack"]))
 
     def _reload(self) -> None:
-        begun_ns = time.time_ns()
-        before = self._subject.node.parameter("image_size")
-        self._set(image_size=256 if before == 320 else 320)
-        self._restarted(NAMES, begun_ns)
-
-    def _restarted(self, cameras: Collection[str], begun_ns: int) -> None:
-        """Expect new track ids from `cameras`, except from the hostile one, whose stamps are random."""
-        self.track_ids.restart({*cameras} - {_HOSTILE}, begun_ns, time.time_ns())
+        self._set(image_size=256 if self._subject.node.parameter("image_size") == 320 else 320)
 
     def _send_depth(self) -> None:
         for _ in range(5):
@@ -231,3 +231,75 @@ class CamerasLife:
         image = scene_image()
         for _ in range(300):
             self.clients[_HOSTILE].send(image)
+
+
+def grey_image(size_hw: tuple[int, int]) -> Image:
+    """A readable image of any size, without content."""
+    height, width = size_hw
+    data = array("B", bytes(3 * height * width))
+    return Image(height=height, width=width, step=3 * width, encoding="bgr8", data=data)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """`share` of the images of the steady cameras that were detected; `resident_mb` at each check."""
+
+    taken_s: float
+    share: float
+    resident_mb: Sequence[float]
+
+    @property
+    def growth_mb(self) -> float:
+        warm = len(self.resident_mb) // _WARM_UP
+        return max(self.resident_mb[-warm - 1 :]) - max(self.resident_mb[: warm + 1])
+
+
+def several_cameras(subject: Subject, seed: int, minutes: float, *, is_judged: bool = True) -> Finding:
+    """Do every action once, then random ones for `minutes`; share and memory count only if `is_judged`."""
+    with CamerasLife(subject, seed) as life:
+        outcome = _outcome(subject, life, minutes)
+    subject.reset()
+    escaped = subject.escaped
+    problems = [*life.problems, *subject.balance.problems]
+    are_fine = outcome.share >= _MIN_SHARE and outcome.growth_mb < _MAX_GROWTH_MB
+    return Finding(
+        claim="cameras that misbehave disturb neither the others nor the process",
+        done=f"{life.done.total()} actions of {len(life.done)} kinds on {len(NAMES)} cameras in "
+        f"{outcome.taken_s / 60:.0f} minutes, "
+        f"{sum(client.heard_3d for client in life.clients.values())} images with depth, seed {seed}",
+        result=f"{number_of('wrong answers or counts', problems)}, "
+        f"{number_of('exceptions', escaped)}; {outcome.share:.1%} of the images of the steady cameras "
+        f"({RATE_HZ:g} Hz) detected; RSS {outcome.growth_mb:+.1f} MB",
+        limit=f"0, 0; {f'{_MIN_SHARE:.0%}; < {_MAX_GROWTH_MB:+g} MB' if is_judged else 'not judged'}",
+        is_met=not problems and not escaped and (are_fine or not is_judged),
+    )
+
+
+def _outcome(subject: Subject, life: CamerasLife, minutes: float) -> _Outcome:
+    begun_s, before = time.monotonic(), _steady_counts(subject)
+    resident_mb: list[float] = []
+    kinds = life.kinds
+    while not resident_mb or time.monotonic() < begun_s + 60 * minutes:
+        for kind in kinds:
+            life.act(kind)
+        life.check()
+        kinds = life.random_kinds(_CHECK_EVERY)
+        resident_mb.append(subject.resources().resident_mb)
+    taken_s = time.monotonic() - begun_s
+    return _Outcome(taken_s, _min_share(before, _steady_counts(subject)), resident_mb)
+
+
+def _steady_counts(subject: Subject) -> dict[str, Counter[str]]:
+    """Images of the steady cameras so far, by outcome."""
+    statuses = subject.statuses()
+    return {
+        name: Counter({key: int(value) for key, value in statuses[name].items() if key.startswith("frames ")})
+        for name in STEADY
+    }
+
+
+def _min_share(before: Mapping[str, Counter[str]], after: Mapping[str, Counter[str]]) -> float:
+    """The smallest share of the images sent that was detected."""
+    counts = [after[name] - before[name] for name in STEADY]
+    sent = ("frames received", "frames lost", "frames overtaken")
+    return min(count["frames detected"] / sum(count[key] for key in sent) for count in counts)

@@ -14,10 +14,9 @@ from support.detector_process import NODE, scene_image
 
 from soak.faults import faulty_image
 from soak.finding import Finding, number_of
-from soak.hostile_images import damaged_message, hostile_image, odd_image
-from soak.sender import Sender
+from soak.images import damaged_message, hostile_image, odd_image
 from soak.service_requests import Fuzz, HostileClient
-from soak.subject import Resources, Subject, camera
+from soak.subject import Resources, Sender, Subject, camera
 
 _LABELS = ("configure", "activate", "activate", "deactivate", "cleanup", "nonsense")
 _CAMERAS: dict[str, tuple[Any, ...]] = {
@@ -62,7 +61,7 @@ class MixedLife:
         self._viewer: Any = None
         self._client = HostileClient(subject)
         subject.bring_to("active")
-        self._sender = Sender(subject, "raw")
+        self._sender = Sender(subject)
         self.done: Counter[str] = Counter()
         self._actions: dict[str, tuple[int, Callable[[], object]]] = {
             "transitions": (10, lambda: subject.transition(self._choose(_LABELS))),

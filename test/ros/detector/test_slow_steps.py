@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from support.depth_client import DEPTH_ON, SCENE
@@ -16,10 +17,26 @@ from support.scripted_runtime import ScriptedRuntime
 from support.segmented_scene import SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
 
-from soak import slow_detector
+from yolov5_lifecycle.detection import detector
+from yolov5_lifecycle.detection.masks import Masks
+from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.detector import outputs, pipeline
+from yolov5_lifecycle.ros.detector.depth import DepthInput
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S, abandoned
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 
-STEPS: dict[str, tuple[Any, str]] = {**slow_detector.STEPS, "inference": (ScriptedRuntime, "__call__")}
+STEPS: dict[str, tuple[Any, str]] = {
+    "decoding": (messages, "image_of_message"),
+    "inference": (ScriptedRuntime, "__call__"),
+    "NMS": (detector, "select"),
+    "tracking": (ByteTracker, "update"),
+    "placing": (DepthInput, "place"),
+    "masks": (Masks, "label_image"),
+    "drawing": (pipeline, "annotate"),
+    "compressing": (outputs, "compressed_image_message"),
+    "publishing": (LifecyclePublisher, "publish"),
+}
+"""Where each step of a frame is: the owner of a function, and its name."""
 QUICK = ("drawing", "publishing")
 """These run in every test run, the others are long."""
 EVERY_STEP = [pytest.param(step, marks=() if step in QUICK else pytest.mark.long) for step in STEPS]
