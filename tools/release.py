@@ -120,7 +120,7 @@ def build_interfaces(source: Path, output: Path, python: Path, variables: Mappin
     excluded = [word for library in OF_OTHER_WHEELS for word in ("--exclude", library)]
     folder = SCRATCH / "wheels"
     shutil.rmtree(folder, ignore_errors=True)
-    options = ["--no-deps", "--no-index", "--no-build-isolation", "--wheel-dir", folder]
+    options: list[str | Path] = ["--no-deps", "--no-index", "--no-build-isolation", "--wheel-dir", folder]
     _run_quietly([sys.executable, "-m", "pip", "--python", python, "wheel", *options, source], variables)
     (built,) = folder.glob(f"{INTERFACES}-*.whl")
     options = ["--plat", PLATFORM, "--only-plat", *excluded, "--wheel-dir", folder / "repaired"]
@@ -138,8 +138,8 @@ def interfaces_environment(python: str) -> Path:
     _run_quietly([python, "-m", "venv", "--without-pip", folder])
     interpreter = folder / "bin" / "python"
     names, versions = (REPOSITORY / "requirements" / f"{name}.txt" for name in ("interfaces", "constraints"))
-    pip = [sys.executable, "-m", "pip", "--python", interpreter]
-    _run_quietly([*pip, "install", "-r", names, "-c", versions])
+    pip = [sys.executable, "-m", "pip", "--python", interpreter, "install"]
+    _run_quietly([*map(str, pip), "-r", names, "-c", versions])
     return interpreter
 
 
