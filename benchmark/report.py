@@ -111,14 +111,15 @@ def table(rows: Iterable[Row]) -> str:
     For a stage, its share of the longest stage, the total, instead.
     """
     rows = list(rows)
-    heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
+    width = max((len(each.what) + 1 for each in rows), default=0)
+    heads = f"{'':{width}}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
     lines = [heads, "-" * len(heads)]
     for each in rows:
         measured = each.what, each.busy, each.unit
         medians = [other.median for other in rows if (other.what, other.busy, other.unit) == measured]
         ratio = _ratio(each, min(medians), max(medians)) if each.unit == "ms" else ""
         lines.append(
-            f"{each.what:10}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
+            f"{each.what:{width}}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
             f"{each.spread:8.0%}{ratio:>7} {each.unit}"
         )
     return "\n".join(lines)

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from soak.balance import BalanceWatch, exact_balance
-from soak.cameras_life import several_cameras
 from soak.collecting import collected_on_bad_disks
 from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
@@ -29,7 +28,6 @@ _CYCLES, _WARM_UP = 2000, 50
 _STRANGERS = 10_000
 _TIMES = 20
 _FAULTS = 50
-_CAMERA_MINUTES = 20.0
 
 Trial = Callable[[], Finding]
 Watched = Callable[[Subject], Finding]
@@ -49,7 +47,6 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
         "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
         "console": lambda process: refused_strangers(process, _scaled(_STRANGERS, scale), seed),
-        "cameras": lambda process: several_cameras(process, seed, _CAMERA_MINUTES * scale),
     }
 
 

@@ -74,5 +74,4 @@ def _hang(subject: Subject, sender: Sender) -> float:
 
 def _detect_again(subject: Subject, sender: Sender) -> None:
     subject.bring_to("active")
-    sender.wait_until_heard()
     sender.send_whole()

@@ -31,7 +31,7 @@ from support.detector_process import (
     is_matched_reliably,
     scene_image,
 )
-from vision_msgs.msg import Detection2DArray, Detection3DArray
+from vision_msgs.msg import Detection2DArray
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
@@ -130,8 +130,6 @@ class Sender:
         self.name = name
         self.whole = 0
         """How often a readable image was sent by `send_whole`."""
-        self.heard = 0
-        self.heard_3d = 0
         self._subject = subject
         self._observer = subject.observer
         self._transport = transport
@@ -143,13 +141,9 @@ class Sender:
         self._images = self._observer.create_publisher(kind, f"{prefix}/{topic}", 1)
         self._depth = self._observer.create_publisher(Image, f"{prefix}/depth/image_raw", 1)
         self._camera_info = self._observer.create_publisher(CameraInfo, f"{prefix}/depth/camera_info", 1)
-        self._subscriptions = [
-            self._observer.create_subscription(Detection2DArray, f"{prefix}/detections", self._hear, _QUEUE),
-            self._observer.create_subscription(
-                Detection3DArray, f"{prefix}/detections_3d", self._hear_3d, _QUEUE
-            ),
-        ]
-        self.wait_until_heard()
+        self._subscription = self._observer.create_subscription(
+            Detection2DArray, f"{prefix}/detections", self._hear, _QUEUE
+        )
 
     def wait_until_heard(self) -> None:
         """Wait for the node to subscribe."""
@@ -173,6 +167,7 @@ class Sender:
 
     def send_whole(self) -> None:
         """Send a readable image until it is detected."""
+        self.wait_until_heard()
         image = scene_image()
         message = image if self._transport == "raw" else _compressed(image)
         sent_s = float("-inf")
@@ -188,17 +183,12 @@ class Sender:
         self._observer.wait_for(is_detected, f"the detections of a whole image {self.name}".rstrip())
 
     def close(self) -> None:
-        for subscription in self._subscriptions:
-            self._observer.destroy_subscription(subscription)
+        self._observer.destroy_subscription(self._subscription)
         for publisher in (self._images, self._depth, self._camera_info):
             self._observer.destroy_publisher(publisher)
 
     def _hear(self, message: Detection2DArray) -> None:
-        self.heard += 1
         self._last = message.header
-
-    def _hear_3d(self, _: Detection3DArray) -> None:
-        self.heard_3d += 1
 
 
 def _compressed(image: Image) -> CompressedImage:

@@ -10,6 +10,7 @@ import os
 from array import array
 from collections.abc import Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,12 @@ def missed(goals: Sequence[Goal]) -> list[str]:
 
 def test_calls_are_measured_in_turns_after_those_that_warm_up() -> None:
     made: list[str] = []
-    calls = {name: lambda name=name: made.append(name) or len(made) for name in "ab"}  # type: ignore[misc]
+
+    def call(name: str) -> int:
+        made.append(name)
+        return len(made)
+
+    calls = {name: partial(call, name) for name in "ab"}
     assert in_turns(calls, 2, warm_ups=1) == {"a": [3, 5], "b": [4, 6]}
     assert made == list("ababab")
     in_turns(calls, 2, mirrored=True)
