@@ -113,7 +113,7 @@ def floor_rows(count: int, seed: int) -> Iterator[Row]:
     """Of the centre, in percent of the range, and of the size along z, in percent of the true one."""
     rng = np.random.default_rng(seed)
     for name, options in FLOOR_SCENES.items():
-        of_kinds = {
+        of_kinds: dict[str, list[tuple[float, float]]] = {
             kind: [floor_errors(random_floor_scene(rng, kind, **options)) for _ in range(3 * count)]
             for kind in KINDS
         }

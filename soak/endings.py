@@ -11,7 +11,7 @@ from functools import partial
 from random import Random
 from typing import Any
 
-from soak.finding import Finding, none_wrong, number_of, problem
+from soak.finding import Finding, number_of, problem
 from soak.subject import Subject, subject, subject_in
 from yolov5_lifecycle.ros.child_process import own_domain
 
@@ -80,11 +80,12 @@ def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
     """Kill a process at each moment; the next one in its domain must configure, activate and detect."""
     random, moments = Random(seed), list(moments)
     wrong = [*filter(None, (problem(partial(_restart, moment, random)) for moment in moments))]
-    return none_wrong(
-        "a killed process is replaced by a clean one",
-        f"SIGKILL for {len(moments)} processes, seed {seed}",
-        "successors did not detect, or end with 0",
-        wrong,
+    return Finding(
+        claim="a killed process is replaced by a clean one",
+        done=f"SIGKILL for {len(moments)} processes, seed {seed}",
+        result=number_of("successors did not detect, or end with 0", wrong),
+        limit="0",
+        is_met=not wrong,
     )
 
 

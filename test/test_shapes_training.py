@@ -182,7 +182,8 @@ def test_learning_lowers_both_losses(model: Model) -> None:
     losses = []
     for _ in range(12):
         of_boxes = detection_loss(network.heads(as_input(batch.pixels[:2])), targets, ARCHITECTURE)
-        of_masks = mask_loss(*branch(features), batch.targets, batch.masks, SEGMENTING)
+        coefficients, prototypes = branch(features)
+        of_masks = mask_loss(coefficients, prototypes, batch.targets, batch.masks, SEGMENTING)
         optimizer.zero_grad()
         (of_boxes + of_masks).backward()
         optimizer.step()
