@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
 from torch import Tensor
 
-from tools.shapes.evaluate import iou, tally
+from tools.shapes.evaluate import tally
 from tools.shapes.images import MASK_CELL_PX, Batches, covered_shares, spoil
 from tools.shapes.labelled_image import LabelledImage
 from tools.shapes.learning import as_input
@@ -210,12 +210,6 @@ def test_the_model_that_segments_computes_what_both_parts_do(model: Model) -> No
 
 def _in_fp16(tensor: Tensor) -> Tensor:
     return tensor.half().float() if tensor.is_floating_point() else tensor
-
-
-def test_iou_is_that_of_hand_computed_boxes() -> None:
-    boxes = np.array([[0, 0, 2, 2]], np.float32)
-    others = np.array([[0, 0, 2, 2], [1, 0, 3, 2], [5, 5, 6, 6]], np.float32)
-    np.testing.assert_allclose(iou(boxes, others), [[1, 1 / 3, 0]], rtol=1e-6)
 
 
 @pytest.mark.parametrize(
