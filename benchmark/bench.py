@@ -101,10 +101,10 @@ class Bench:
             self._medians_ms[new.name, new.busy] = new.median
 
     def _watched(self, fleet: Fleet, size: str, rate_hz: float, frames: int) -> Passage:
-        """So long that a node that keeps up detects `frames` images."""
+        """Until `frames` images are detected."""
         with fleet.camera(_NODE, image_file(size_hw(size), self._folder), rate_hz=rate_hz):
             fleet.wait_for([_NODE])
-            return fleet.watch([_NODE], frames / rate_hz)
+            return fleet.watch([_NODE], frames=frames)
 
     def _passage(self, fleet: Fleet, size: str, busy: int) -> None:
         for rate_hz in (_SLOW_HZ, _USUAL_HZ):
@@ -122,7 +122,7 @@ class Bench:
 
     def _saturation(self, fleet: Fleet, busy: int) -> None:
         rate_hz = _FLOOD * 1e3 / self._medians_ms[_AUTO, busy]
-        passage = self._watched(fleet, self._size, rate_hz, 40 if self._quick else 250)
+        passage = self._watched(fleet, self._size, rate_hz, 40 if self._quick else 200)
         self._add(row("node", "throughput", busy, [passage.stamped_hz], unit="Hz"))
         self._add(row("node", "latency when flooded", busy, passage.latencies_ms))
         share = passage.stamped_hz * self._medians_ms[_AUTO, busy] / 1e3
@@ -130,7 +130,7 @@ class Bench:
 
     def _rate_limit(self, fleet: Fleet) -> None:
         set_max_rate(fleet, _SLOW_HZ)
-        passage = self._watched(fleet, "640x480", _USUAL_HZ, 120 if self._quick else 300)
+        passage = self._watched(fleet, "640x480", _USUAL_HZ, 40 if self._quick else 100)
         set_max_rate(fleet, 0.0)
         found_hz, what = passage.stamped_hz, f"max_rate {_SLOW_HZ:g}, camera {_USUAL_HZ:g} Hz"
         self._add(row("node", what, 0, [found_hz], unit="Hz"))

@@ -149,12 +149,13 @@ class Fleet:
         self._wait_for_arrivals(names)
         self._observer.work_for(_SETTLING_S)
 
-    def watch(self, names: Sequence[str], duration_s: float) -> Passage:
-        """Everything that arrives in `duration_s`, or until an image of each of `names` was detected."""
+    def watch(self, names: Sequence[str], duration_s: float = 0.0, *, frames: int = 1) -> Passage:
+        """What arrives in `duration_s`, or until `frames` images, some of each of `names`, are detected."""
         begun_s, cpu_begun_s = time.monotonic(), self._cpu_s()
         self._arrivals.clear()
         self._observer.work_for(duration_s)
         self._wait_for_arrivals(names)
+        self._observer.wait_for(lambda: len(self._arrivals) >= frames, f"{frames} detections")
         arrivals = tuple(self._arrivals)
         return Passage(
             arrivals=arrivals,
