@@ -22,8 +22,8 @@ CONSOLE_BENCH_FLAGS ?=
 RECORDINGS_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
-MUTANTS_FLAGS ?=
-MATRIX_FLAGS ?=
+MUTANTS ?= *__mutmut_7
+MATRIX ?= 3.10-tested 3.11-tested 3.12-tested 3.13-tested 3.12-apt 3.12-kilted
 TAG ?=
 RELEASE_PYTHONS ?=
 
@@ -115,7 +115,7 @@ help:
 	@echo 'make bench-families  the forward pass of every family of models beside eager torch (FAMILIES_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
 	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, settings, labels and calibrations, of depth and tracks'
-	@echo 'make mutants  changes the code in small ways, which a test must notice; 20 minutes  (MUTANTS_FLAGS="--only tracking")'
+	@echo 'make mutants  changes the code in small ways, which a test must notice  (MUTANTS="yolov5_lifecycle.tracking.*")'
 	@echo 'make release-check  builds a release of the last commit into build/dist and checks it: docs/releasing.md'
 	@echo 'make interfaces-wheels  only the compiled messages  (RELEASE_PYTHONS="python3.11 python3.12")'
 	@echo 'make lint     ruff and mypy --strict'
@@ -149,9 +149,16 @@ test-end-to-end: $(TESTS)
 test-all: $(TESTS)
 	$(PYTEST) $(PATIENT) $(PYTEST_FLAGS)
 
-# The folder of each environment stays, so a repeated run installs nothing.
+# The folder of each environment stays, so a repeated run installs nothing; .venv is for the Python of `make` alone.
 test-matrix:
-	"$(PYTHON)" -m tools.matrix $(MATRIX_FLAGS)
+	@outcomes=; status=0; for each in $(MATRIX); do \
+	  version=$${each%%-*}; set=$${each#*-}; folder=; \
+	  [ $$each = $(PYTHON_VERSION)-tested ] || [ $$set != tested ] || folder=VENV=.venv-$$version; \
+	  if ! python=$$(PATH="$${PATH//'$(abspath $(VENV))/bin:'/}" .ci/find-python $$version); then outcome="left out"; \
+	  elif $(MAKE) --no-print-directory test PYTHON="$$python" SET=$$set $$folder; then outcome=passed; \
+	  else outcome=failed; status=1; fi; \
+	  outcomes+="$$each: $$outcome"$$'\n'; done; \
+	echo "$$outcomes"; [[ $$outcomes = *passed* ]] && exit $$status
 
 coverage: $(TESTS)
 	rm -rf build/coverage
@@ -181,8 +188,10 @@ soak: $(TESTS)
 fuzz: $(TESTS) $(FUZZER)
 	PYTHONPATH=test $(VENV)/bin/python -m fuzz $(FUZZ_FLAGS)
 
+# What is changed, and which tests must notice it, stands in pyproject.toml.
 mutants: $(TESTS) $(MUTATOR)
-	$(VENV)/bin/python -m tools.mutants $(MUTANTS_FLAGS)
+	$(VENV)/bin/python -m mutmut run '$(MUTANTS)'
+	$(VENV)/bin/python -m mutmut results
 
 lint: $(TESTS)
 	$(VENV)/bin/ruff check .
@@ -224,7 +233,7 @@ workflows: $(WORKFLOW_VENV)/.installed
 	$(WORKFLOW_VENV)/bin/actionlint
 
 clean:
-	rm -rf .venv .venv-* build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-* build install mutants log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 # Python compiles what is imported; pip would compile all modules, which takes half a minute and 200 MB, mostly unused.

@@ -10,22 +10,19 @@ import gc
 import statistics
 import sys
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
+from benchmark.camera_fleet import Fleet, Passage, active_fleet
+from benchmark.contender import Task, busy_processes, measure
 from benchmark.models import untrained_weights
-from benchmark.neighbours import busy_neighbours
-from benchmark.node import MeasuredDetector, detector_node, image_file
-from benchmark.report import STAGE, Goal, Row, goal_table, row, table, write_report
+from benchmark.report import STAGE, Goal, Row, options_of, publish, row, size_hw, timed
 from benchmark.rivals import RIVALS
-from benchmark.rounds import measure
-from benchmark.task import Task
-from benchmark.work import RUNTIME_PREFIX
+from benchmark.work import RUNTIME_PREFIX, image_file
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "report.json"
 SIZES_WH = ("640x480", "1280x720", "1920x1080")
 _AUTO = f"{RUNTIME_PREFIX}auto"
 _USUAL = "eager torch"
@@ -35,6 +32,7 @@ _SLOW_HZ = 10.0
 _USUAL_HZ = 30.0
 _FLOOD = 1.25  # times the maximum rate of the forward pass alone
 _IDLE_S = 5.0
+_NODE = "yolov5"
 
 
 class Bench:
@@ -54,8 +52,8 @@ class Bench:
         """Every runtime, every rival and every stage of the detector."""
         runtimes = [f"{RUNTIME_PREFIX}{name}" for name in (*installed_runtimes(), "auto")]
         tasks = [
-            *(Task("rivals", name, str(self._weights), _hw(self._size)) for name in RIVALS),
-            *(Task("work", name, str(self._weights), _hw(self._size)) for name in (*runtimes, *_STAGES)),
+            *(Task("rivals", name, str(self._weights), size_hw(self._size)) for name in RIVALS),
+            *(Task("work", name, str(self._weights), size_hw(self._size)) for name in (*runtimes, *_STAGES)),
         ]
         turns = 4 if self._quick else 25
         taken_ms, peaks_mb = measure(tasks, loads=self._loads, turns=turns, cache=self._folder)
@@ -73,43 +71,47 @@ class Bench:
         for size in () if self._quick else ("s", "m"):
             weights = str(untrained_weights(size, self._folder))
             names = [f"{RUNTIME_PREFIX}{name}" for name in installed_runtimes()]
-            tasks = [Task("work", name, weights, _hw(self._size)) for name in names]
+            tasks = [Task("work", name, weights, size_hw(self._size)) for name in names]
             taken_ms, _ = measure(tasks, loads=self._loads, turns=4, cache=self._folder)
             for (task, busy), times_ms in taken_ms.items():
                 self._add(row(f"size {size}", task.name, busy, times_ms))
 
     def node(self) -> None:
         """Processes as on a robot, images of several sizes."""
-        with detector_node(self._weights, self._folder / "node") as node:
-            load_s = _load_s(self._weights)
-            self._add(row("node", "activate, first time", 0, [node.activate_s()], unit="s"))
-            node.deactivate()
-            again_s = node.activate_s()
+        load_s = timed(partial(load_weights, self._weights))
+        cache = self._folder / "node"
+        with active_fleet("a node each", [_NODE], weights=self._weights, cache=cache) as fleet:
+            self._add(row("node", "activate, first time", 0, [fleet.activation_s], unit="s"))
+            fleet.change("deactivate")
+            again_s = fleet.change("activate")
             self._add(row("node", "activate again", 0, [again_s], unit="s"))
             self.goals.append(Goal("activate again - load [s]", 0, again_s - load_s, True, 1.0))
             for busy in self._loads:
-                with busy_neighbours(busy):
+                with busy_processes(busy):
                     for size in (self._size,) if self._quick else SIZES_WH:
-                        self._passage(node, size, busy)
-                    self._saturation(node, busy)
-            self._rate_limit(node)
-            self._idle(node)
-            self._add(row("node", "memory", 0, [node.peak_resident_mb], unit="MB at most"))
+                        self._passage(fleet, size, busy)
+                    self._saturation(fleet, busy)
+            self._rate_limit(fleet)
+            self._idle(fleet)
+            self._add(row("node", "memory", 0, [fleet.peak_resident_mb], unit="MB at most"))
 
     def _add(self, new: Row) -> None:
         self.rows.append(new)
         if new.unit == "ms":
             self._medians_ms[new.name, new.busy] = new.median
 
-    def _passage(self, node: MeasuredDetector, size: str, busy: int) -> None:
-        image = image_file(_hw(size), self._folder)
+    def _watched(self, fleet: Fleet, size: str, rate_hz: float, frames: int) -> Passage:
+        """Until `frames` images are detected."""
+        with fleet.camera(_NODE, image_file(size_hw(size), self._folder), rate_hz=rate_hz):
+            fleet.wait_for([_NODE])
+            return fleet.watch([_NODE], frames=frames)
+
+    def _passage(self, fleet: Fleet, size: str, busy: int) -> None:
         for rate_hz in (_SLOW_HZ, _USUAL_HZ):
-            passage = node.watch(image, rate_hz=rate_hz, frames=20 if self._quick else 100)
+            passage = self._watched(fleet, size, rate_hz, 20 if self._quick else 100)
             what = f"{size} at {rate_hz:g} Hz"
             self._add(row("node", f"latency {what}", busy, passage.latencies_ms))
-            self._add(
-                row("node", f"CPU a frame {what}", busy, [passage.cpu_ms_per_frame], unit="ms of a core")
-            )
+            self._add(row("node", f"CPU a frame {what}", busy, [passage.cpu_ms], unit="ms of a core"))
             if (size, rate_hz) == (self._size, self._followed_hz(busy)):
                 ratio = statistics.median(passage.latencies_ms) / self._medians_ms["detector", busy]
                 self.goals.append(Goal(f"node latency at {rate_hz:g} Hz / detector", busy, ratio, True, 1.35))
@@ -118,31 +120,35 @@ class Bench:
         """The usual camera rate if the detector can keep up with it, else the slow one."""
         return _USUAL_HZ if self._medians_ms["detector", busy] < 1e3 / _USUAL_HZ else _SLOW_HZ
 
-    def _saturation(self, node: MeasuredDetector, busy: int) -> None:
-        image = image_file(_hw(self._size), self._folder)
+    def _saturation(self, fleet: Fleet, busy: int) -> None:
         rate_hz = _FLOOD * 1e3 / self._medians_ms[_AUTO, busy]
-        passage = node.watch(image, rate_hz=rate_hz, frames=40 if self._quick else 200)
-        self._add(row("node", "throughput", busy, [passage.rate_hz], unit="Hz"))
+        passage = self._watched(fleet, self._size, rate_hz, 40 if self._quick else 200)
+        self._add(row("node", "throughput", busy, [passage.stamped_hz], unit="Hz"))
         self._add(row("node", "latency when flooded", busy, passage.latencies_ms))
-        share = passage.rate_hz * self._medians_ms[_AUTO, busy] / 1e3
+        share = passage.stamped_hz * self._medians_ms[_AUTO, busy] / 1e3
         self.goals.append(Goal("throughput * forward", busy, share, False, 0.90))
 
-    def _rate_limit(self, node: MeasuredDetector) -> None:
-        image = image_file((480, 640), self._folder)
-        node.set_parameters(max_rate=_SLOW_HZ)
-        passage = node.watch(image, rate_hz=_USUAL_HZ, frames=40 if self._quick else 100)
-        node.set_parameters(max_rate=0.0)
-        deviation = abs(passage.rate_hz / _SLOW_HZ - 1)
-        self._add(
-            row("node", f"max_rate {_SLOW_HZ:g}, camera {_USUAL_HZ:g} Hz", 0, [passage.rate_hz], unit="Hz")
-        )
-        self.goals.append(Goal("deviation from max_rate [%]", 0, 100 * deviation, True, 2.0))
+    def _rate_limit(self, fleet: Fleet) -> None:
+        set_max_rate(fleet, _SLOW_HZ)
+        passage = self._watched(fleet, "640x480", _USUAL_HZ, 40 if self._quick else 100)
+        set_max_rate(fleet, 0.0)
+        found_hz, what = passage.stamped_hz, f"max_rate {_SLOW_HZ:g}, camera {_USUAL_HZ:g} Hz"
+        self._add(row("node", what, 0, [found_hz], unit="Hz"))
+        deviation = 100 * abs(found_hz / _SLOW_HZ - 1)
+        self.goals.append(Goal("deviation from max_rate [%]", 0, deviation, True, 2.0))
 
-    def _idle(self, node: MeasuredDetector) -> None:
+    def _idle(self, fleet: Fleet) -> None:
         image = image_file((480, 640), self._folder)
-        share = node.idle_cpu_share(image, rate_hz=30.0, duration_s=_IDLE_S)
+        share = fleet.idle_cpu_share(_NODE, image, rate_hz=_USUAL_HZ, duration_s=_IDLE_S)
         self._add(row("node", "nobody listens", 0, [100 * share], unit="% of a core"))
         self.goals.append(Goal("nobody listens [% of a core]", 0, 100 * share, True, 2.0))
+
+
+def set_max_rate(fleet: Fleet, rate_hz: float) -> None:
+    """Set it on every node; raises RuntimeError if it is refused."""
+    for node in fleet.nodes:
+        if refusal := node.set_parameters(max_rate=rate_hz):
+            raise RuntimeError(f"setting max_rate={rate_hz} was refused: {refusal}")
 
 
 def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
@@ -169,40 +175,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             folder=Path(folder),
         )
         for part in (bench.forwards, bench.model_sizes, bench.node):
-            _say(f"measuring: {part.__doc__}")
+            print(f"measuring: {part.__doc__}", flush=True)
             part()
-    _say(f"\n{table(bench.rows)}\n\n{goal_table(bench.goals)}")
-    write_report(REPORT, vars(options), bench.rows, bench.goals)
-    _say(f"\n{REPORT}")
-    return 0
+    return publish("bench", options, bench.rows, bench.goals)
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="bench", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
-    parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="default: %(default)s")
-    parser.add_argument(
-        "--busy", type=int, default=1, metavar="N", help="number of busy processes; default: %(default)s"
-    )
-    parser.add_argument("--quick", action="store_true", help="fewer rounds, one size")
+    parser = options_of("bench", __doc__, quick="fewer rounds, one size")
+    parser.add_argument("--weights", type=Path, help="if not an untrained yolov5n")
+    parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="of the image")
+    parser.add_argument("--busy", type=int, default=1, metavar="N", help="number of busy processes")
     return parser
-
-
-def _hw(size: str) -> tuple[int, int]:
-    width, height = map(int, size.split("x"))
-    return height, width
-
-
-def _load_s(weights: Path) -> float:
-    begun_s = time.monotonic()
-    load_weights(weights)
-    return time.monotonic() - begun_s
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -10,18 +10,19 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
 from std_srvs.srv import Trigger
 from vision_msgs.msg import Detection2DArray
 
-from benchmark import light_camera, misbehaving_camera
-from benchmark.process_memory import proportional_mb, resident_mb
-from benchmark.process_time import cpu_s
+from benchmark import light_camera
+from benchmark.process_memory import cpu_s, peak_resident_mb, proportional_mb, resident_mb
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
@@ -32,6 +33,19 @@ _PROFILE = Path(__file__).parents[1] / "config" / "shm.xml"
 _NODE = "/yolov5"
 _SETTLING_S = 1.0
 _QUEUE = 100
+
+
+def materials(image_hw: tuple[int, int], folder: Path) -> tuple[Path, Path]:
+    """Untrained weights and an image in `folder`, created in a process that exits, as it needs torch."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(_made, image_hw, folder).result()
+
+
+def _made(image_hw: tuple[int, int], folder: Path) -> tuple[Path, Path]:
+    from benchmark.models import untrained_weights
+    from benchmark.work import image_file
+
+    return untrained_weights("n", folder), image_file(image_hw, folder)
 
 
 @dataclass(frozen=True)
@@ -62,6 +76,22 @@ class Passage:
         return len(self.arrivals) / self.duration_s
 
     @property
+    def stamped_hz(self) -> float:
+        """The rate of the images of the only camera, by their stamps."""
+        first, *_, last = (arrival.stamp_ns for arrival in self.arrivals)
+        return (len(self.arrivals) - 1) / ((last - first) / 1e9)
+
+    @property
+    def cpu_percent(self) -> float:
+        """Of one core."""
+        return 100 * self.cpu_s / self.duration_s
+
+    @property
+    def cpu_ms(self) -> float:
+        """For one detection."""
+        return 1e3 * self.cpu_s / len(self.arrivals)
+
+    @property
     def latencies_ms(self) -> list[float]:
         return [arrival.latency_ms for arrival in self.arrivals]
 
@@ -77,25 +107,40 @@ class Fleet:
     def __init__(
         self,
         observer: Observer,
-        processes: Sequence[ChildProcess],
+        processes: Mapping[str, ChildProcess],
         prefixes: Mapping[str, str],
         environment: Mapping[str, str],
     ) -> None:
+        self.nodes = [RemoteLifecycleNode(observer, name) for name in processes]
         self._observer = observer
-        self._processes = processes
+        self._processes = [*processes.values()]
         self._prefixes = prefixes
         self._environment = environment
         self._arrivals: list[Arrival] = []
-        for camera, prefix in prefixes.items():
+        self._subscriptions = [
             observer.create_subscription(
                 Detection2DArray, f"{prefix}/detections", partial(self._receive, camera), _QUEUE
             )
+            for camera, prefix in prefixes.items()
+        ]
+        for node in self.nodes:
+            node.wait_until_reachable()
+        self.change("configure")
+        self.activation_s = self.change("activate")
+
+    def change(self, transition: str) -> float:
+        """Let every node make the transition; returns the duration in seconds."""
+        begun_s = time.monotonic()
+        for node, process in zip(self.nodes, self._processes, strict=True):
+            if not node.change_state(transition):
+                raise RuntimeError(f"{process.name} refused to {transition}:\n{process.last_words}")
+        return time.monotonic() - begun_s
 
     def camera(self, name: str, image: Path, *, rate_hz: float, manner: str = "") -> ChildProcess:
         """A process that publishes `image`; with a `manner`, one that misbehaves that way."""
-        script = [misbehaving_camera.__file__, manner] if manner else [light_camera.__file__]
-        command = [sys.executable, *script, str(image), str(rate_hz), f"{self._prefixes[name]}/image_raw"]
+        words = [str(image), str(rate_hz), f"{self._prefixes[name]}/image_raw", *filter(None, [manner])]
         profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE)}
+        command = [sys.executable, light_camera.__file__, *words]
         return ChildProcess(f"camera {name}", command, {**self._environment, **profile})
 
     def wait_for(self, names: Sequence[str]) -> None:
@@ -104,12 +149,13 @@ class Fleet:
         self._wait_for_arrivals(names)
         self._observer.work_for(_SETTLING_S)
 
-    def watch(self, names: Sequence[str], duration_s: float) -> Passage:
-        """Everything that arrives in `duration_s`, or until an image of each of `names` was detected."""
+    def watch(self, names: Sequence[str], duration_s: float = 0.0, *, frames: int = 1) -> Passage:
+        """What arrives in `duration_s`, or until `frames` images, some of each of `names`, are detected."""
         begun_s, cpu_begun_s = time.monotonic(), self._cpu_s()
         self._arrivals.clear()
         self._observer.work_for(duration_s)
         self._wait_for_arrivals(names)
+        self._observer.wait_for(lambda: len(self._arrivals) >= frames, f"{frames} detections")
         arrivals = tuple(self._arrivals)
         return Passage(
             arrivals=arrivals,
@@ -119,11 +165,27 @@ class Fleet:
             resident_mb=sum(resident_mb(process.process_id) for process in self._processes),
         )
 
+    def idle_cpu_share(self, name: str, image: Path, *, rate_hz: float, duration_s: float) -> float:
+        """CPU share of one core that the nodes use from now on, while a camera runs but nobody subscribes."""
+        while self._subscriptions:
+            self._observer.destroy_subscription(self._subscriptions.pop())
+        topic = f"{self._prefixes[name]}/image_raw"
+        with self.camera(name, image, rate_hz=rate_hz):
+            self._observer.wait_for(lambda: self._observer.count_publishers(topic) > 0, "the camera")
+            self._observer.work_for(_SETTLING_S)
+            cpu_begun_s = self._cpu_s()
+            self._observer.work_for(duration_s)
+            return (self._cpu_s() - cpu_begun_s) / duration_s
+
     def collect_every(self, period_s: float) -> None:
         """From now on, ask each detector to keep the next image every `period_s` seconds."""
         for prefix in self._prefixes.values():
             client = self._observer.create_client(Trigger, f"{prefix}/collect")
             self._observer.create_timer(period_s, partial(client.call_async, Trigger.Request()))
+
+    @property
+    def peak_resident_mb(self) -> float:
+        return sum(peak_resident_mb(process.process_id) for process in self._processes)
 
     def _wait_for_arrivals(self, names: Sequence[str]) -> None:
         self._observer.wait_for(
@@ -157,9 +219,7 @@ def active_fleet(
                 process.check_running()
 
         observer = stack.enter_context(closing(Observer("bench", domain=domain, check=check)))
-        for node in processes:
-            _activate(observer, node)
-        yield Fleet(observer, [*processes.values()], _prefixes(layout, cameras), environment)
+        yield Fleet(observer, processes, _prefixes(layout, cameras), environment)
 
 
 def _nodes(layout: Layout, cameras: Sequence[str]) -> dict[str, dict[str, object]]:
@@ -177,11 +237,3 @@ def _prefixes(layout: Layout, cameras: Sequence[str]) -> dict[str, str]:
 def _command(node: str, parameters: Mapping[str, object]) -> list[str]:
     assigned = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
     return [entry_point("detector"), "--ros-args", "-r", f"__node:={node.removeprefix('/')}", *assigned]
-
-
-def _activate(observer: Observer, name: str) -> None:
-    node = RemoteLifecycleNode(observer, name)
-    node.wait_until_reachable()
-    for transition in ("configure", "activate"):
-        if not node.change_state(transition):
-            raise RuntimeError(f"the detector {name} refused to {transition}")

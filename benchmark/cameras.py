@@ -12,14 +12,13 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet
+from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet, materials
 from benchmark.fairness import equal_shares, others_rates, slow_beside_fast
-from benchmark.materials import materials
-from benchmark.report import Goal, Row, goal_table, row, table, write_report
+from benchmark.report import Goal, Row, in_turns, options_of, publish, row
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "cameras.json"
 IMAGE_HW = (480, 640)
 FOLLOWED = 4
 """Number of cameras whose comparison has goals."""
@@ -59,10 +58,8 @@ class CameraBench:
 
     def layouts(self, count: int, rate_hz: float) -> None:
         """Measure one node for all cameras and a node for each, alternately."""
-        passages: dict[Layout, list[Passage]] = {layout: [] for layout in LAYOUTS}
-        for number in range(self._plan.rounds):
-            for layout in LAYOUTS if number % 2 == 0 else reversed(LAYOUTS):
-                passages[layout].append(self._passage(layout, count, rate_hz))
+        calls = {layout: partial(self._passage, layout, count, rate_hz) for layout in LAYOUTS}
+        passages = in_turns(calls, self._plan.rounds, mirrored=True)
         for layout, passed in passages.items():
             self.rows += layout_rows(layout, count, passed)
         ratios = ratios_of(*(passages[layout] for layout in LAYOUTS))
@@ -113,8 +110,8 @@ def layout_rows(layout: Layout, count: int, passages: Sequence[Passage]) -> list
     figures = {
         "detections": ([passage.rate_hz for passage in passages], "Hz"),
         "latency": ([latency for passage in passages for latency in passage.latencies_ms], "ms"),
-        "CPU": ([100 * passage.cpu_s / passage.duration_s for passage in passages], "% of a core"),
-        "CPU a detection": ([_cpu_ms(passage) for passage in passages], "ms of a core"),
+        "CPU": ([passage.cpu_percent for passage in passages], "% of a core"),
+        "CPU a detection": ([passage.cpu_ms for passage in passages], "ms of a core"),
         "memory (PSS)": ([passage.proportional_mb for passage in passages], "MB"),
         "memory (RSS)": ([passage.resident_mb for passage in passages], "MB"),
     }
@@ -130,7 +127,7 @@ def ratios_of(one_node: Sequence[Passage], a_node_each: Sequence[Passage]) -> di
         "detections": lambda passage: passage.rate_hz,
         "median": lambda passage: statistics.median(passage.latencies_ms),
         "p95": lambda passage: row("", "", 0, passage.latencies_ms).p95,
-        "CPU": _cpu_ms,
+        "CPU": lambda passage: passage.cpu_ms,
         "PSS": lambda passage: passage.proportional_mb,
         "RSS": lambda passage: passage.resident_mb,
     }
@@ -158,30 +155,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         bench = CameraBench(*materials(IMAGE_HW, folder), folder, plan)
         bench.choose_runtime()
         for count in counts:
-            _say(f"measuring: {_cameras(count)}, one node and a node each")
+            print(f"measuring: {_cameras(count)}, one node and a node each", flush=True)
             bench.layouts(count, options.rate)
-        _say(f"measuring: {bench.fairness.__doc__}")
+        print(f"measuring: {bench.fairness.__doc__}", flush=True)
         bench.fairness()
-    _say(f"\n{table(bench.rows)}\n\n{goal_table(bench.goals)}")
-    write_report(REPORT, vars(options), bench.rows, bench.goals)
-    _say(f"\n{REPORT}")
-    return 0
+    return publish("cameras", options, bench.rows, bench.goals)
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="benchmark.cameras", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument(
-        "--counts", type=int, nargs="+", metavar="N", help="numbers of cameras; default: 1 2 4 8"
-    )
-    parser.add_argument(
-        "--rate",
-        type=float,
-        default=10.0,
-        metavar="HZ",
-        help="images per second of each camera; default: %(default)g",
-    )
-    parser.add_argument("--quick", action="store_true", help="1 and 4 cameras, one round, shorter")
+    parser = options_of("cameras", __doc__, quick="1 and 4 cameras, one round, shorter")
+    parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="if not 1, 2, 4 and 8 cameras")
+    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="of each camera's images")
     return parser
 
 
@@ -191,15 +176,6 @@ def _names(count: int) -> list[str]:
 
 def _cameras(count: int) -> str:
     return f"{count} camera{'s' if count > 1 else ''}"
-
-
-def _cpu_ms(passage: Passage) -> float:
-    return 1e3 * passage.cpu_s / len(passage.arrivals)
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

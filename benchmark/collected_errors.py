@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.report import Goal, Row, goal_table, row, table, write_report
+from benchmark.report import Goal, Row, options_of, publish, row
 from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
@@ -34,7 +34,6 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth, cluttered_
 from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes.safetensors"
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "collected_errors.json"
 SIZE_HW = (240, 320)
 RATE_HZ = 10.0
 PLACES, FRAMES_IN_A_PLACE, FRAMES_OF_A_TURN = 60, 100, 20
@@ -280,18 +279,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for seed in range(options.seeds):
             with tempfile.TemporaryDirectory(prefix="bench-") as folder:
                 outcomes.append(collect(detector, seed, Path(folder)))
-    rows, goals = figures(outcomes)
-    sys.stdout.write(f"{table(rows)}\n\n{goal_table(goals)}\n")
-    write_report(REPORT, vars(options), rows, goals)
-    return 0
+    return publish("collected_errors", options, *figures(outcomes))
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(
-        prog="benchmark.collected_errors", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="drives; default: %(default)s")
+    parser = options_of("collected_errors", __doc__)
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="number of drives")
     return parser
 
 

@@ -9,14 +9,13 @@ import argparse
 import statistics
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
-from benchmark.camera_fleet import Passage, active_fleet
-from benchmark.materials import materials
-from benchmark.report import Goal, Row, goal_table, row, table, write_report
+from benchmark.camera_fleet import Passage, active_fleet, materials
+from benchmark.report import Goal, Row, in_turns, median_ratio, options_of, publish, row
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "collecting.json"
 IMAGE_HW = (720, 1280)
 CAMERA = "front"
 OFF, NOTHING_KEPT, ONE_A_SECOND = "off", "on, nothing kept", "on, one image kept a second"
@@ -28,17 +27,17 @@ _KEEPING: dict[str, dict[str, object]] = {
 }
 
 
-def figures(passages: dict[str, list[Passage]]) -> tuple[list[Row], list[Goal]]:
+def figures(passages: Mapping[str, Sequence[Passage]]) -> tuple[list[Row], list[Goal]]:
     """Latency and processor time of each way of collecting, and what it adds to those without."""
     rows, goals = [], []
     for name, passed in passages.items():
         latencies = [latency for passage in passed for latency in passage.latencies_ms]
         rows.append(row("latency", name, 0, latencies))
-        rows.append(row("CPU", name, 0, [_cpu_percent(passage) for passage in passed], unit="% of a core"))
+        rows.append(row("CPU", name, 0, [passage.cpu_percent for passage in passed], unit="% of a core"))
     for name, most in ((NOTHING_KEPT, 2.0), (ONE_A_SECOND, 10.0)):
-        pairs = list(zip(passages[name], passages[OFF], strict=True))
-        added = statistics.median(_cpu_percent(on) - _cpu_percent(off) for on, off in pairs)
-        ratio = statistics.median(_latency_ms(on) / _latency_ms(off) for on, off in pairs)
+        pairs = zip(passages[name], passages[OFF], strict=True)
+        added = statistics.median(on.cpu_percent - off.cpu_percent for on, off in pairs)
+        ratio = median_ratio(map(_latency_ms, passages[name]), map(_latency_ms, passages[OFF]))
         goals += [
             Goal(f"{name}: processor added, % of a core", 0, added, True, most),
             Goal(f"{name}: latency / without", 0, ratio, True, 1.02),
@@ -63,33 +62,22 @@ def passage(name: str, weights: Path, image: Path, folder: Path, options: argpar
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write the report; returns 0."""
     options = parser().parse_args(arguments)
-    passages: dict[str, list[Passage]] = {name: [] for name in _KEEPING}
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
         weights, image = materials(IMAGE_HW, folder)
         passage(OFF, weights, image, folder, options)  # the runtime is chosen, and cached
-        for number in range(options.rounds):
-            for way in list(_KEEPING)[:: 1 if number % 2 == 0 else -1]:
-                passages[way].append(passage(way, weights, image, folder, options))
-    rows, goals = figures(passages)
-    sys.stdout.write(f"{table(rows)}\n\n{goal_table(goals)}\n")
-    write_report(REPORT, vars(options), rows, goals)
-    return 0
+        calls = {way: partial(passage, way, weights, image, folder, options) for way in _KEEPING}
+        rows, goals = figures(in_turns(calls, options.rounds, mirrored=True))
+    return publish("collecting", options, rows, goals)
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(
-        prog="benchmark.collecting", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="default: %(default)s")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="default: %(default)g")
-    parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="default: %(default)g")
+    parser = options_of("collecting", __doc__)
+    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of all ways")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="of each passage")
+    parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="of the camera")
     return parser
-
-
-def _cpu_percent(passage: Passage) -> float:
-    return 100 * passage.cpu_s / passage.duration_s
 
 
 def _latency_ms(passage: Passage) -> float:

@@ -15,18 +15,17 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import AsyncExitStack, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
+from functools import partial
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from benchmark.process_time import cpu_s
-from benchmark.report import Goal, goal_table, row, table, write_report
+from benchmark.process_memory import cpu_s
+from benchmark.report import Goal, in_turns, options_of, publish, row
 from yolov5_lifecycle.ros.child_process import ChildProcess
 from yolov5_lifecycle.ros.demo.one_camera import COMMANDS
 from yolov5_lifecycle.ros.demo.stage import started
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "console.json"
 VIEWERS = (1, 4)
 MAX_AGE_MS = 100.0
 """Max age of an image in the browser beyond the latency of the detector."""
@@ -139,6 +138,11 @@ async def _view(images: ClientConnection, seen: Viewing) -> None:
             await images.send("taken")
 
 
+def measured(console: ChildProcess, viewers: int, duration_s: float) -> Viewing:
+    """`viewing`, outside of a loop of events."""
+    return asyncio.run(viewing(console, viewers, duration_s))
+
+
 def goals(seen: dict[int, list[Viewing]]) -> list[Goal]:
     """Age of images with one viewer beyond the detector's p95, and the cost of four viewers over one."""
     one, four = VIEWERS
@@ -157,29 +161,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write the report; returns 0."""
     options = parser().parse_args(arguments)
     seconds, rounds = (3.0, 1) if options.quick else (options.seconds, options.rounds)
-    seen: dict[int, list[Viewing]] = {viewers: [] for viewers in VIEWERS}
     with robot(options.rate) as console:
-        for _ in range(rounds):
-            for viewers in VIEWERS:  # alternately, as the machine's speed changes
-                seen[viewers].append(asyncio.run(viewing(console, viewers, seconds)))
+        calls = {viewers: partial(measured, console, viewers, seconds) for viewers in VIEWERS}
+        seen = in_turns(calls, rounds)
     rows = []
     for viewers, each in seen.items():
         ages_ms = [age_ms for one in each for age_ms in one.ages_ms]
         rows.append(row("age", f"{viewers} viewers", 0, ages_ms))
         rows.append(row("CPU", f"{viewers} viewers", 0, [one.cpu_percent for one in each], unit="%"))
-    reached = goals(seen)
-    print(f"{table(rows)}\n\n{goal_table(reached)}")
-    write_report(REPORT, vars(options), rows, reached)
-    return 0
+    return publish("console", options, rows, goals(seen))
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="benchmark.console", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--rate", type=float, default=15.0, help="images per second; default: %(default)s")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each round; default: %(default)s")
-    parser.add_argument("--rounds", type=int, default=3, help="default: %(default)s")
-    parser.add_argument("--quick", action="store_true", help="one short round")
+    parser = options_of("console", __doc__, quick="one short round")
+    parser.add_argument("--rate", type=float, default=15.0, help="images per second")
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each round")
+    parser.add_argument("--rounds", type=int, default=3, help="of one and of four viewers")
     return parser
 
 

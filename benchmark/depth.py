@@ -6,9 +6,10 @@ PYTHONPATH=test python -m benchmark.depth [--scenes 40] [--seed 0]
 from __future__ import annotations
 
 import argparse
-import statistics
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, ra
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
+from benchmark.report import Row, options_of, publish, row, timed
 from yolov5_lifecycle.spatial.box_samples import inside, sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics
@@ -96,74 +98,62 @@ def floor_errors(scene: DepthScene) -> tuple[float, float]:
     return 100 * float(centre), 100 * abs(found.size_xyz_m[2] - true_m) / true_m
 
 
-def print_floor_errors(count: int, seed: int) -> None:
+def error_rows(count: int, seed: int) -> Iterator[Row]:
+    """Of the depth, in percent, for each method."""
     rng = np.random.default_rng(seed)
-    print("\nOn a floor: error of the centre, in percent of the range: median / 95th percentile; and")
-    print("the median error of the size along z, in percent of the true size\n")
-    for name, options in FLOOR_SCENES.items():
-        everything: list[tuple[float, float]] = []
-        for kind in KINDS:
-            found = [floor_errors(random_floor_scene(rng, kind, **options)) for _ in range(3 * count)]
-            everything += found
-            print(f"{name}, {kind}: {floor_cell(found)}")
-        print(f"{name}, all: {floor_cell(everything)}")
-
-
-def floor_cell(found: Sequence[tuple[float, float]]) -> str:
-    centres, sizes = np.transpose(found)
-    return f"{np.median(centres):.1f} / {np.quantile(centres, 0.95):.1f}; {np.median(sizes):.0f}"
-
-
-def print_errors(count: int, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    print("Error of the depth, in percent: median / 95th percentile\n")
     for kind in ("solid", "thin"):
         shapes = [shape for shape in SHAPES if (shape in THIN) == (kind == "thin")]
         for name, difficulty in SCENES.items():
             scenes = [random_depth_scene(rng, shape, difficulty) for shape in shapes for _ in range(count)]
-            cells = [
-                f"{method} {statistics.median(found):.1f} / {np.quantile(found, 0.95):.1f}"
-                for method, found in errors(scenes).items()
-            ]
-            print(f"{kind}, {name}: " + ", ".join(cells))
+            for method, found in errors(scenes).items():
+                yield row(f"{kind}, {name}", method, 0, found, unit="%")
 
 
-def print_costs() -> None:
+def floor_rows(count: int, seed: int) -> Iterator[Row]:
+    """Of the centre, in percent of the range, and of the size along z, in percent of the true one."""
+    rng = np.random.default_rng(seed)
+    for name, options in FLOOR_SCENES.items():
+        of_kinds: dict[str, list[tuple[float, float]]] = {
+            kind: [floor_errors(random_floor_scene(rng, kind, **options)) for _ in range(3 * count)]
+            for kind in KINDS
+        }
+        of_kinds["all"] = [both for found in of_kinds.values() for both in found]
+        for kind, found in of_kinds.items():
+            centres, sizes = zip(*found, strict=True)
+            yield row(f"floor, {name}", f"{kind}: centre", 0, centres, unit="%")
+            yield row(f"floor, {name}", f"{kind}: size along z", 0, sizes, unit="%")
+
+
+def cost_rows() -> Iterator[Row]:
+    """CPU time for all boxes of an image."""
     rng = np.random.default_rng(0)
-    print("\nCPU time for all boxes of an image, in milliseconds\n")
     for count, (height, width) in COSTS:
         depth = DepthImage(rng.integers(500, 8000, (height, width)).astype(np.uint16), 0.001)
         camera = Intrinsics(CAMERA.fx, CAMERA.fy, width / 2, height / 2, (height, width))
         ends = np.sort(rng.uniform(0, 1, (count, 2, 2)), axis=1) * (width, height)
-        boxes_xyxy = ends.reshape(count, 4).astype(np.float32)
-        times_ms = []
-        for _ in range(20):
-            begin = time.process_time()
-            place(boxes_xyxy, (height, width), depth, camera)
-            times_ms.append(1000 * (time.process_time() - begin))
-        print(f"{count} boxes, {width}x{height}: {statistics.median(times_ms):.2f}")
+        call = partial(place, ends.reshape(count, 4).astype(np.float32), (height, width), depth, camera)
+        times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
+        yield row("CPU time", f"{count} boxes, {width}x{height}", 0, times_ms, unit="ms of a core")
 
 
 def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__)
+    """The argument parser."""
+    parser = options_of("depth", __doc__)
     parser.add_argument(
-        "--scenes",
-        type=int,
-        default=40,
-        help="scenes of each shape, a third of those of each solid (default 40)",
+        "--scenes", type=int, default=40, help="of each shape, a third of those of each solid"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the scenes (default 0; the constants were chosen with 100)"
+        "--seed", type=int, default=0, help="of the scenes; the constants were chosen with 100"
     )
     return parser
 
 
-def main() -> None:
-    arguments = parser().parse_args()
-    print_errors(arguments.scenes, arguments.seed)
-    print_floor_errors(arguments.scenes, arguments.seed)
-    print_costs()
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print and write the report; returns 0."""
+    options = parser().parse_args(arguments)
+    of_scenes = [*error_rows(options.scenes, options.seed), *floor_rows(options.scenes, options.seed)]
+    return publish("depth", options, [*of_scenes, *cost_rows()], [])
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

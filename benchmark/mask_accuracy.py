@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from support.reference_masks import reference_mask, whole_mask
 
+from benchmark.report import options_of
 from tools.shapes.evaluate import UNSEEN_SEED, moving, stills
 from tools.shapes.labelled_image import LabelledImage
 from yolov5_lifecycle.checkpoints.locate import load_weights
@@ -96,10 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(
-        prog="benchmark.mask_accuracy", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--images", type=int, default=40, help="of each kind; default: %(default)s")
+    parser = options_of("mask_accuracy", __doc__)
+    parser.add_argument("--images", type=int, default=40, help="of each kind")
     return parser
 
 

@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from benchmark.models import untrained_network
-from benchmark.report import Goal, goal_table, row, table, write_report
+from benchmark.report import Goal, in_turns, options_of, publish, row, size_hw, timed
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.draw import draw_masks
 from yolov5_lifecycle.detection.letterbox import Letterbox
@@ -29,7 +30,6 @@ from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.ros.messages import image_message
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "masks.json"
 COUNTS = (1, 10, 50)
 FORWARD, PROTOTYPES = "network without prototypes", "prototypes"
 DRAWING, MESSAGE = "drawing of 10 objects", "message"
@@ -85,14 +85,9 @@ def measured_ms(measured: Mapping[str, Callable[[], object]], turns: int) -> dic
 
     Processor time depends less than elapsed time on what else the machine does.
     """
-    taken_ms: dict[str, list[float]] = {name: [] for name in measured}
-    for turn in range(turns + _WARM_UPS):
-        for name, call in measured.items():
-            begun_s = time.process_time()
-            call()
-            if turn >= _WARM_UPS:
-                taken_ms[name].append((time.process_time() - begun_s) * 1e3)
-    return taken_ms
+    calls = {name: partial(timed, call, time.process_time) for name, call in measured.items()}
+    taken_s = in_turns(calls, turns, warm_ups=_WARM_UPS)
+    return {name: [1e3 * time_s for time_s in times_s] for name, times_s in taken_s.items()}
 
 
 def goal(taken_ms: Mapping[str, Sequence[float]]) -> Goal:
@@ -105,23 +100,18 @@ def goal(taken_ms: Mapping[str, Sequence[float]]) -> Goal:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write the report; returns 0."""
     options = parser().parse_args(arguments)
-    width, height = map(int, options.size.split("x"))
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         weights = options.weights or untrained_network(SEGMENT_N, Path(folder) / "untrained.safetensors")
-        taken_ms = measured_ms(calls(weights, (height, width)), turns=20 if options.quick else 200)
+        taken_ms = measured_ms(calls(weights, options.size), turns=20 if options.quick else 200)
     rows = [row("masks", name, 0, times_ms) for name, times_ms in taken_ms.items()]
-    goals = [goal(taken_ms)]
-    print(f"{table(rows)}\n\n{goal_table(goals)}")
-    write_report(REPORT, vars(options), rows, goals)
-    return 0
+    return publish("masks", options, rows, [goal(taken_ms)])
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="benchmark.masks", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n-seg")
-    parser.add_argument("--size", default="640x480", help="width x height of the image; default: %(default)s")
-    parser.add_argument("--quick", action="store_true", help="fewer rounds")
+    parser = options_of("masks", __doc__, quick="fewer rounds")
+    parser.add_argument("--weights", type=Path, help="if not an untrained yolov5n-seg")
+    parser.add_argument("--size", type=size_hw, default="640x480", help="width x height of the image")
     return parser
 
 

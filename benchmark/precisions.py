@@ -18,7 +18,7 @@ import torch
 
 from benchmark.masks import measured_ms
 from benchmark.models import untrained_weights
-from benchmark.report import Goal, goal_table, row, table, write_report
+from benchmark.report import Goal, options_of, publish, row, size_hw
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
@@ -27,7 +27,6 @@ from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, w
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "precisions.json"
 SIZES = ("n", "s", "m")
 INT8 = f"int8 in {COARSE_RUNTIME}"
 _FP32 = "fp32 in "
@@ -69,27 +68,22 @@ def goal(size: str, taken_ms: Mapping[str, Sequence[float]]) -> Goal:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and write the report; returns 0."""
     options = parser().parse_args(arguments)
-    width, height = map(int, options.size.split("x"))
     rows, goals = [], []
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         for size in options.sizes:
             model = load_weights(untrained_weights(size, Path(folder))).model
-            taken_ms = measured_ms(calls(model, (height, width)), turns=5 if options.quick else 40)
+            taken_ms = measured_ms(calls(model, options.size), turns=5 if options.quick else 40)
             rows += [row(f"yolov5{size}", name, 0, times_ms) for name, times_ms in taken_ms.items()]
             goals.append(goal(size, taken_ms))
-    print(f"{table(rows)}\n\n{goal_table(goals)}\n\nprocessor: {', '.join(abilities()) or 'nothing special'}")
-    write_report(REPORT, vars(options), rows, goals)
-    return 0
+    print(f"processor: {', '.join(abilities()) or 'nothing special'}")
+    return publish("precisions", options, rows, goals)
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(
-        prog="benchmark.precisions", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=SIZES, help="default: all")
-    parser.add_argument("--size", default="640x480", help="width x height of the input; default: %(default)s")
-    parser.add_argument("--quick", action="store_true", help="fewer rounds")
+    parser = options_of("precisions", __doc__, quick="fewer rounds")
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=SIZES, help="of the networks")
+    parser.add_argument("--size", type=size_hw, default="640x480", help="width x height of the input")
     return parser
 
 

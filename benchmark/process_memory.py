@@ -1,4 +1,4 @@
-"""Process memory as reported by Linux."""
+"""Memory and processor time of processes as reported by Linux."""
 
 from __future__ import annotations
 
@@ -40,6 +40,12 @@ def limit_growth(growth_mb: float) -> None:
     """
     limit_bytes = int((_status_mb(os.getpid(), "VmSize") + growth_mb) * 1024**2)
     resource.setrlimit(resource.RLIMIT_AS, (limit_bytes, limit_bytes))
+
+
+def cpu_s(process_id: int) -> float:
+    """User and system time of the process so far, all threads together."""
+    fields = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _status_mb(process_id: int, entry: str) -> float:

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -20,11 +19,10 @@ from typing import Any
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmark.models import untrained_weights
-from benchmark.report import Goal, goal_table, row, table, write_report
+from benchmark.report import Goal, in_turns, median_ratio, options_of, publish, row, timed
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.sources.scene import Scene
 
-REPORT = Path(__file__).parents[1] / "build" / "bench" / "recordings.json"
 SINGLE, ONE, ONE_CORE, TWO = "single runs", "one worker", "one worker, one core", "two workers"
 SIZE_HW = (480, 640)
 _FRAMES = 20
@@ -94,28 +92,12 @@ def _detect_bag(cache: Path, *words: str, **environment: str) -> None:
     subprocess.run([command, *words], env=variables, check=True, stderr=subprocess.DEVNULL)
 
 
-def measured_s(measured: Mapping[str, Run], rounds: int) -> dict[str, list[float]]:
-    """Seconds of each call in `rounds` turns, after one that is not counted: it measures the runtimes."""
-    taken_s: dict[str, list[float]] = {name: [] for name in measured}
-    for turn in range(rounds + 1):
-        for name, call in measured.items():
-            begun_s = time.perf_counter()
-            call()
-            if turn:
-                taken_s[name].append(time.perf_counter() - begun_s)
-    return taken_s
-
-
 def goals(taken_s: Mapping[str, Sequence[float]]) -> list[Goal]:
     """Medians of the ratios within each round."""
-
-    def ratio(above: str, below: str) -> float:
-        return statistics.median(a / b for a, b in zip(taken_s[above], taken_s[below], strict=True))
-
     return [
-        Goal(f"{ONE} / {SINGLE}", 0, ratio(ONE, SINGLE), True, _MAX_OVERHEAD),
-        Goal(f"{ONE_CORE} / {TWO}", 0, ratio(ONE_CORE, TWO), False, _MIN_GAIN),
-        Goal(f"{ONE} on all cores / {TWO}", 0, ratio(ONE, TWO), False, 1.0),
+        Goal(f"{ONE} / {SINGLE}", 0, median_ratio(taken_s[ONE], taken_s[SINGLE]), True, _MAX_OVERHEAD),
+        Goal(f"{ONE_CORE} / {TWO}", 0, median_ratio(taken_s[ONE_CORE], taken_s[TWO]), False, _MIN_GAIN),
+        Goal(f"{ONE} on all cores / {TWO}", 0, median_ratio(taken_s[ONE], taken_s[TWO]), False, 1.0),
     ]
 
 
@@ -128,27 +110,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for number in range(options.recordings):
             record_scene(folder / "drives" / f"drive_{number}", 30 if options.quick else options.images)
         weights = options.weights or untrained_weights("n", folder)
+        runs = calls(folder / "drives", weights.absolute(), folder)
         rounds = 1 if options.quick else options.rounds
-        taken_s = measured_s(calls(folder / "drives", weights.absolute(), folder), rounds)
+        # The first turn measures the runtimes.
+        taken_s = in_turns({name: partial(timed, run) for name, run in runs.items()}, rounds, warm_ups=1)
     rows = [row("many recordings", name, 0, times_s, unit="s") for name, times_s in taken_s.items()]
-    reached = goals(taken_s)
-    print(f"{table(rows)}\n\n{goal_table(reached)}")
-    write_report(REPORT, vars(options), rows, reached)
-    return 0
+    return publish("recordings", options, rows, goals(taken_s))
 
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(
-        prog="benchmark.recordings", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--weights", type=Path, help="default: an untrained yolov5n")
-    parser.add_argument("--recordings", type=int, default=4, metavar="N", help="default: %(default)s")
-    parser.add_argument(
-        "--images", type=int, default=150, metavar="N", help="images of each recording; default: %(default)s"
-    )
-    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="default: %(default)s")
-    parser.add_argument("--quick", action="store_true", help="one round, 30 images of each")
+    parser = options_of("recordings", __doc__, quick="one round, 30 images of each")
+    parser.add_argument("--weights", type=Path, help="if not an untrained yolov5n")
+    parser.add_argument("--recordings", type=int, default=4, metavar="N", help="their number")
+    parser.add_argument("--images", type=int, default=150, metavar="N", help="of each recording")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of all ways")
     return parser
 
 

@@ -1,19 +1,25 @@
-"""Benchmark results, as a table and as JSON."""
+"""What all benchmarks share: options, measuring in turns, rows and goals, as a table and as JSON."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
 import platform
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import TypeVar
 
+FOLDER = Path(__file__).parents[1] / "build" / "bench"
 STAGE = "stage"
 _PACKAGES = ("torch", "onnxruntime", "openvino", "opencv-python-headless", "numpy")
+Name = TypeVar("Name")
+Measured = TypeVar("Measured")
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,52 @@ class Goal:
         return self.value <= self.bound if self.at_most else self.value >= self.bound
 
 
+def options_of(name: str, about: str | None, *, quick: str = "") -> argparse.ArgumentParser:
+    """The parser of `python -m benchmark.NAME`; `about` is its docstring, `quick` what --quick does."""
+    parser = argparse.ArgumentParser(
+        prog=f"benchmark.{name}",
+        description=(about or "").partition("\n")[0],
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    if quick:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    return parser
+
+
+def size_hw(text: str) -> tuple[int, int]:
+    """Height and width of WIDTHxHEIGHT, as an option has it."""
+    width, height = map(int, text.split("x"))
+    return height, width
+
+
+def in_turns(
+    calls: Mapping[Name, Callable[[], Measured]], rounds: int, *, warm_ups: int = 0, mirrored: bool = False
+) -> dict[Name, list[Measured]]:
+    """What each call returns, one after the other in every round: noise of the machine affects all alike.
+
+    The first `warm_ups` rounds are not counted; with `mirrored`, every second round goes backwards.
+    """
+    found: dict[Name, list[Measured]] = {name: [] for name in calls}
+    for number in range(warm_ups + rounds):
+        for name in [*calls][:: -1 if mirrored and number % 2 else 1]:
+            measured = calls[name]()
+            if number >= warm_ups:
+                found[name].append(measured)
+    return found
+
+
+def timed(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    """Seconds that a call takes by `clock`."""
+    begun_s = clock()
+    call()
+    return clock() - begun_s
+
+
+def median_ratio(above: Iterable[float], below: Iterable[float]) -> float:
+    """The median of the ratios within each round."""
+    return statistics.median(one / other for one, other in zip(above, below, strict=True))
+
+
 def row(what: str, name: str, busy: int, values: Sequence[float], *, unit: str = "ms") -> Row:
     """The statistics of `values`."""
     ordered = sorted(values)
@@ -59,14 +111,15 @@ def table(rows: Iterable[Row]) -> str:
     For a stage, its share of the longest stage, the total, instead.
     """
     rows = list(rows)
-    heads = f"{'':10}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
+    width = max((len(each.what) + 1 for each in rows), default=0)
+    heads = f"{'':{width}}{'':34}{'busy':>4}{'median':>10}{'p95':>10}{'spread':>8}{'ratio':>7}"
     lines = [heads, "-" * len(heads)]
     for each in rows:
         measured = each.what, each.busy, each.unit
         medians = [other.median for other in rows if (other.what, other.busy, other.unit) == measured]
         ratio = _ratio(each, min(medians), max(medians)) if each.unit == "ms" else ""
         lines.append(
-            f"{each.what:10}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
+            f"{each.what:{width}}{each.name:34}{each.busy:4}{each.median:10.2f}{each.p95:10.2f}"
             f"{each.spread:8.0%}{ratio:>7} {each.unit}"
         )
     return "\n".join(lines)
@@ -87,16 +140,16 @@ def goal_table(goals: Iterable[Goal]) -> str:
     )
 
 
-def write_report(
-    path: Path, options: Mapping[str, object], rows: Iterable[Row], goals: Iterable[Goal]
-) -> None:
-    """Write all measurements with machine and software versions as JSON."""
+def publish(name: str, options: argparse.Namespace, rows: Sequence[Row], goals: Sequence[Goal]) -> int:
+    """Print both tables, write them with machine and versions to FOLDER/NAME.json; returns 0."""
     report = {
-        "options": {name: str(value) for name, value in options.items()},
+        "options": {option: str(value) for option, value in vars(options).items()},
         "versions": {package: version(package) for package in _PACKAGES},
         "machine": {"cores": os.cpu_count(), "system": platform.platform(), "load": os.getloadavg()},
         "rows": [asdict(each) for each in rows],
         "goals": [asdict(goal) | {"is_reached": goal.is_reached} for goal in goals],
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    (FOLDER / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    print(f"\n{table(rows)}\n\n{goal_table(goals)}\n\n{FOLDER / name}.json", flush=True)
+    return 0

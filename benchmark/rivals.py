@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmark.task import Task
+from benchmark.contender import Task
 from benchmark.work import scene_image
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox

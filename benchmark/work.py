@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.task import Task
+from benchmark.contender import Task
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
@@ -39,6 +40,14 @@ def call_of(task: Task) -> Callable[[], object]:
 def scene_image(image_hw: tuple[int, int]) -> ColourImage:
     """A fixed image of shapes over clutter."""
     return ColourImage(np.ascontiguousarray(Scene(_SCENE_SEED, image_hw).frame(0)[0][..., ::-1]), "bgr")
+
+
+def image_file(image_hw: tuple[int, int], folder: Path) -> Path:
+    """The scene as an image file that a camera reads quickly."""
+    path = folder / f"{image_hw[1]}x{image_hw[0]}.bmp"
+    if not cv2.imwrite(str(path), scene_image(image_hw).pixels):
+        raise OSError(f"{path} cannot be written")
+    return path
 
 
 def _stage(name: str, detector: Detector, image: ColourImage) -> Callable[[], object]:

@@ -23,14 +23,8 @@ def main() -> int:
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
     parser = argparse.ArgumentParser(prog="make fuzz", description="Fuzz all code that reads untrusted data.")
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        choices=TARGETS,
-        default=[*TARGETS],
-        metavar="TARGET",
-        help=f"some of: {', '.join(TARGETS)}",
-    )
+    some = f"some of: {', '.join(TARGETS)}"
+    parser.add_argument("--only", nargs="+", choices=TARGETS, default=[*TARGETS], metavar="TARGET", help=some)
     parser.add_argument("--seconds", type=int, default=60, help="duration per target; default: %(default)s")
     return parser
 

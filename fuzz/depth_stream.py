@@ -11,8 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzz.fields import Fields
-from fuzz.refusals import taken
+from fuzz.inputs import Fields, taken
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.spatial.depth_image import (
     DEPTH_ENCODINGS,
@@ -73,23 +72,17 @@ class _Stream:
             step=step,
             is_bigendian=bool(is_bigendian),
         )
-        depth = taken(decode, ImageError)
-        if isinstance(depth, ImageError):
-            assert str(depth).isprintable()
-            return
-        assert depth.size_hw == (height, width)
-        self._size_hw = depth.size_hw
-        self.alive.add(depth)
-        self._pairing.add(stamp_ns, depth)
+        if depth := taken(decode, ImageError):
+            assert depth.size_hw == (height, width)
+            self._size_hw = depth.size_hw
+            self.alive.add(depth)
+            self._pairing.add(stamp_ns, depth)
 
     def take_camera_info(self, fields: Fields, fits: bool) -> None:
         *values, height, width = fields.unpack(_CAMERA_INFO)
         k, p = _matrix(values[:4], columns=3), _matrix(values[4:], columns=4)
         size_hw = self._size_hw if fits else (height, width)
-        intrinsics = taken(lambda: intrinsics_of(k, p, size_hw), ImageError)
-        if isinstance(intrinsics, ImageError):
-            assert str(intrinsics).isprintable()
-        else:
+        if intrinsics := taken(lambda: intrinsics_of(k, p, size_hw), ImageError):
             self._intrinsics = intrinsics
 
     def expect(self, fields: Fields, _: bool) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fuzz.fields import Fields
+from fuzz.inputs import Fields
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.tracking.byte_tracker import (
     MAX_LATE_S,

@@ -11,21 +11,13 @@ from soak.balance import BalanceWatch, exact_balance
 from soak.collecting import collected_on_bad_disks
 from soak.console_requests import refused_strangers
 from soak.cycles import complete_cycles
-from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts, clean_starts
-from soak.faults import ended_by_abandoned_threads, ended_by_lost_devices, survived_faults
+from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts
+from soak.faults import survived_faults
 from soak.finding import Finding, found, table, write_report
-from soak.images import (
-    rejected_costly_files,
-    rejected_files,
-    rejected_images,
-    survived_files,
-    survived_messages,
-)
+from soak.images import rejected, survived
 from soak.largest_images import LARGEST_SIDE_PX, bounded_decoding
 from soak.mixed_life import mixed_life
 from soak.service_requests import answered_requests
-from soak.several_cameras import several_cameras
-from soak.slow_steps import survived_slow_steps
 from soak.subject import Subject, subject
 
 _REPORT = Path("build") / "soak" / "report.json"
@@ -36,7 +28,6 @@ _CYCLES, _WARM_UP = 2000, 50
 _STRANGERS = 10_000
 _TIMES = 20
 _FAULTS = 50
-_CAMERA_MINUTES = 20.0
 
 Trial = Callable[[], Finding]
 Watched = Callable[[Subject], Finding]
@@ -47,17 +38,15 @@ def _watched_trials(seed: int, minutes: float, scale: float) -> dict[str, Watche
     images, seeds = _scaled(_IMAGES, scale), range(seed, seed + _SEEDS)
     return {
         "requests": lambda process: answered_requests(process, seeds, _scaled(_REQUESTS_PER_SEED, scale)),
-        "images": lambda process: rejected_images(process, images, seed),
-        "files": lambda process: rejected_files(process, images, seed),
-        "costly-files": lambda process: rejected_costly_files(process, images, seed),
+        "images": lambda process: rejected("raw", process, images, seed),
+        "files": lambda process: rejected("compressed", process, images, seed),
         "largest-files": lambda process: bounded_decoding(process, LARGEST_SIDE_PX),
-        "damaged-files": lambda process: survived_files(process, images, seed),
-        "damaged-messages": lambda process: survived_messages(process, images, seed),
+        "damaged-files": lambda process: survived("compressed", process, images, seed),
+        "damaged-messages": lambda process: survived("raw", process, images, seed),
         "cycles": lambda process: complete_cycles(process, _scaled(_CYCLES, scale), _WARM_UP),
         "faults": lambda process: survived_faults(process, _scaled(_FAULTS, scale)),
         "mixed": lambda process: mixed_life(process, seed, minutes),
         "console": lambda process: refused_strangers(process, _scaled(_STRANGERS, scale), seed),
-        "cameras": lambda process: several_cameras(process, seed, _CAMERA_MINUTES * scale),
     }
 
 
@@ -65,11 +54,7 @@ def _trials_of_many(seed: int, scale: float) -> dict[str, Trial]:
     """Trials that start processes themselves, by name."""
     times = _scaled(_TIMES, scale)
     return {
-        "lost-devices": lambda: ended_by_lost_devices(_scaled(_FAULTS, scale)),
-        "slow-steps": survived_slow_steps,
-        "abandoned-threads": lambda: ended_by_abandoned_threads(times),
         "endings": lambda: clean_endings(ENDINGS * times, seed),
-        "starts": lambda: clean_starts(times, seed),
         "collecting": lambda: collected_on_bad_disks(times, seed),
         "restarts": lambda: clean_restarts([*MOMENTS] * times, seed),
     }
@@ -84,22 +69,15 @@ _NAMES = [*_watched_trials(0, 0, 1), *_trials_of_many(0, 1)]
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="make soak", description="Long trials of the detector process.")
-    parser.add_argument(
-        "--minutes", type=float, default=30.0, help="duration of the mixed trial; default: %(default)s"
+    parser = argparse.ArgumentParser(
+        prog="make soak",
+        description="Long trials of the detector process.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument(
-        "--scale", type=float, default=1.0, help="factor on the number of attempts; default: %(default)s"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of random choices; default: %(default)s")
-    parser.add_argument(
-        "--only",
-        nargs="+",
-        choices=_NAMES,
-        default=_NAMES,
-        metavar="TRIAL",
-        help=f"some of: {', '.join(_NAMES)}",
-    )
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration of the mixed trial")
+    parser.add_argument("--scale", type=float, default=1.0, help="factor on the number of attempts")
+    parser.add_argument("--seed", type=int, default=0, help="seed of random choices")
+    parser.add_argument("--only", nargs="+", choices=_NAMES, default=_NAMES, metavar="TRIAL", help="some")
     return parser
 
 

@@ -16,11 +16,9 @@ from std_srvs.srv import Trigger
 from support.detector_process import NODE, PARAMETERS, scene_image
 
 from soak import faulty_detector
-from soak.camera_client import CameraClient
 from soak.disk import Disk
 from soak.finding import Finding, number_of, problem
-from soak.subject import Subject, subject_of
-from soak.track_ids import TrackIds
+from soak.subject import Sender, Subject, subject_of
 from yolov5_lifecycle.collecting.collected_files import IMAGES, LABELS, read_frame_list
 from yolov5_lifecycle.collecting.collector import IDLE_S, RETRY_S
 from yolov5_lifecycle.ros.child_process import entry_point, own_domain
@@ -43,10 +41,10 @@ class _Robot:
     def __init__(self, subject: Subject, folder: Path) -> None:
         self.subject = subject
         self.folder = folder
-        self.clients = [CameraClient(subject, name, TrackIds()) for name in _CAMERAS]
         self._collect = subject.observer.create_client(Trigger, f"{NODE}/collect")
         self._reloads = 0
         subject.bring_to("active")
+        self.clients = [Sender(subject, name=name) for name in _CAMERAS]
 
     def drive(self, duration_s: float) -> None:
         """Send images of all cameras for so long, and ask for each of them."""
@@ -70,7 +68,7 @@ class _Robot:
 
     def detects(self) -> None:
         for client in self.clients:
-            client.detect()
+            client.send_whole()
 
     def collects(self) -> None:
         """Wait until more images are kept, and nothing is wrong."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 import time
 from collections import Counter
@@ -12,16 +11,14 @@ from functools import partial
 from random import Random
 from typing import Any
 
-from soak.finding import Finding, none_wrong, number_of, problem
-from soak.subject import Subject, exceptions_in, subject, subject_in
-from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
+from soak.finding import Finding, number_of, problem
+from soak.subject import Subject, subject, subject_in
+from yolov5_lifecycle.ros.child_process import own_domain
 
 _LIMIT_S = 5.0
 _TRANSITION_S = 0.001, 0.3
 """Min and max duration of a transition."""
 _PAUSE_S = 0.001
-_LONGEST_IMPORT_S = 3.0
-_START_S = 60.0
 
 Ending = tuple[signal.Signals, str]
 """The signal, and a moment from `MOMENTS`."""
@@ -79,29 +76,16 @@ def clean_endings(endings: Iterable[Ending], seed: int, *, limit_s: float = _LIM
     )
 
 
-def clean_starts(count: int, seed: int) -> Finding:
-    """Terminate the installed detector while it imports its modules, or soon after."""
-    random = Random(seed)
-    numbers = [signal.SIGINT, signal.SIGTERM] * count
-    wrong = [*filter(None, (problem(partial(_end_at_start, number, random)) for number in numbers))]
-    return none_wrong(
-        "SIGINT and SIGTERM end the process cleanly while it starts",
-        f"{len(numbers)} processes, seed {seed}",
-        "other ends",
-        wrong,
-        limit=f"0; exit code 0 within {_LIMIT_S:g} s, no exception",
-    )
-
-
 def clean_restarts(moments: Iterable[str], seed: int) -> Finding:
     """Kill a process at each moment; the next one in its domain must configure, activate and detect."""
     random, moments = Random(seed), list(moments)
     wrong = [*filter(None, (problem(partial(_restart, moment, random)) for moment in moments))]
-    return none_wrong(
-        "a killed process is replaced by a clean one",
-        f"SIGKILL for {len(moments)} processes, seed {seed}",
-        "successors did not detect, or end with 0",
-        wrong,
+    return Finding(
+        claim="a killed process is replaced by a clean one",
+        done=f"SIGKILL for {len(moments)} processes, seed {seed}",
+        result=number_of("successors did not detect, or end with 0", wrong),
+        limit="0",
+        is_met=not wrong,
     )
 
 
@@ -114,19 +98,6 @@ def _end(number: signal.Signals, moment: str, random: Random, met: Counter[str],
         met[moment] += _reach(process, moment, random)
         code = process.process.stop(number, timeout_s=limit_s)
         assert (code, process.escaped) == (0, []), f"{number.name} {moment}: {code}, {process.escaped}"
-
-
-def _end_at_start(number: signal.Signals, random: Random) -> None:
-    environment = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
-    command = [entry_point("detector")]
-    with own_domain() as domain, ChildProcess("detector", command, isolated(environment, domain)) as process:
-        process.wait_for_output(" rclpy\n", _START_S)
-        time.sleep(random.uniform(0, _LONGEST_IMPORT_S))
-        code = process.stop(number, timeout_s=_LIMIT_S)
-    # Some imported modules are named traceback.
-    said = [line for line in process.output.splitlines() if not line.startswith("import time:")]
-    escaped = exceptions_in("\n".join(said))
-    assert (code, escaped) == (0, []), f"{number.name} at the start: {code}, {escaped}"
 
 
 def _restart(moment: str, random: Random) -> None:

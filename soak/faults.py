@@ -1,4 +1,4 @@
-"""Inference that fails, hangs or loses its device, in the real node with the real model."""
+"""Inference that fails or hangs, in the real node with the real model."""
 
 from __future__ import annotations
 
@@ -8,24 +8,20 @@ from array import array
 from sensor_msgs.msg import Image
 
 from soak.faulty_detector import GREYS
-from soak.finding import Finding, none_wrong, number_of, problem
-from soak.sender import Sender
-from soak.subject import Subject, subject
-from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS, EXIT_DEVICE_LOST
-from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S
+from soak.finding import Finding, number_of
+from soak.subject import Sender, Subject
+from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 
 _FAILING = ("raise", "out of memory", "NaN", "wrong shape")
 _SIDE_PX = 320
-_END_S = 10.0
 _RETURN_S = REST_TIMEOUT_S + 1
 
 
 def survived_faults(subject: Subject, count: int, *, is_timed: bool = True) -> Finding:
-    """Repeat every fault except device loss in one process; the duration of deactivate is only judged if
-    `is_timed`."""
+    """Repeat every fault in one process; the duration of deactivate is only judged if `is_timed`."""
     subject.reset()
     subject.bring_to("active")
-    sender, held_s = Sender(subject, "raw"), 0.0
+    sender, held_s = Sender(subject), 0.0
     for _ in range(count):
         for kind in _FAILING:
             _fail(subject, sender, kind)
@@ -46,61 +42,10 @@ def survived_faults(subject: Subject, count: int, *, is_timed: bool = True) -> F
     )
 
 
-def ended_by_lost_devices(count: int) -> Finding:
-    """Lose the device in `count` processes, one after the other."""
-    return none_wrong(
-        "a lost device ends the process with its own code",
-        f"{count} processes",
-        "other ends",
-        [*filter(None, (problem(_lose_device) for _ in range(count)))],
-        limit=f"0; exit code {EXIT_DEVICE_LOST} within {_END_S:g} s",
-    )
-
-
-def ended_by_abandoned_threads(count: int) -> Finding:
-    """Hang inference repeatedly in each of `count` processes."""
-    return none_wrong(
-        "too many hung inference threads end the process with its own code",
-        f"{count} processes, {MAX_ABANDONED_SESSIONS + 1} hangs each",
-        "other ends",
-        [*filter(None, (problem(_abandon_threads) for _ in range(count)))],
-        limit=f"0; exit code {EXIT_ABANDONED_SESSIONS} within {_END_S:g} s",
-    )
-
-
 def faulty_image(kind: str) -> Image:
     """An image that makes inference of the subject fail."""
     data = array("B", bytes([GREYS[kind]]) * (3 * _SIDE_PX**2))
     return Image(height=_SIDE_PX, width=_SIDE_PX, encoding="rgb8", step=3 * _SIDE_PX, data=data)
-
-
-def _abandon_threads() -> None:
-    with subject() as process:
-        for abandoned in range(MAX_ABANDONED_SESSIONS + 1):
-            process.bring_to("active")
-            assert process.status()["abandoned threads"] == str(abandoned)
-            sender = Sender(process, "raw")
-            sender.send_whole()
-            sender.send(faulty_image("long hang"))
-            process.observer.wait_for(lambda: process.status()["frames pending"] == "1", "inference to hang")
-            assert process.transition("deactivate")
-            sender.close()
-        code = process.process.wait(_END_S)
-        assert code == EXIT_ABANDONED_SESSIONS, f"exit code {code}"
-
-
-def _lose_device() -> None:
-    with subject() as process:
-        process.bring_to("active")
-        sender = Sender(process, "raw")
-        # By then the node has resubscribed for the last time; it misses images sent while it does so.
-        process.observer.wait_for(
-            lambda: process.status()["image reliability"] == "reliable", "a reliable subscription"
-        )
-        sender.send_whole()
-        sender.send(faulty_image("device lost"))
-        code = process.process.wait(_END_S)
-        assert code == EXIT_DEVICE_LOST, f"exit code {code}"
 
 
 def _fail(subject: Subject, sender: Sender, kind: str) -> None:
@@ -129,5 +74,4 @@ def _hang(subject: Subject, sender: Sender) -> float:
 
 def _detect_again(subject: Subject, sender: Sender) -> None:
     subject.bring_to("active")
-    sender.wait_until_heard()
     sender.send_whole()

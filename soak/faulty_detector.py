@@ -24,14 +24,13 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.prepared_model import PreparedModel, prepare_model
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.ros.detector.command import main
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError, Predictions, Runtime
+from yolov5_lifecycle.runtimes.runtime import Predictions, Runtime
 from yolov5_lifecycle.settings.settings import Settings
 
 Raw = NDArray[np.float32]
 SLOW_S = 0.5
 HANG_S = 10.0
 """Deactivate waits 3 s for each hang, so at most three abandoned threads are alive, the allowed maximum."""
-LONG_HANG_S = 120.0
 
 
 def fail(raw: Raw) -> Raw:
@@ -40,10 +39,6 @@ def fail(raw: Raw) -> Raw:
 
 def run_out_of_memory(raw: Raw) -> Raw:
     raise torch.OutOfMemoryError("CUDA out of memory, on purpose")
-
-
-def lose_device(raw: Raw) -> Raw:
-    raise DeviceLostError("the GPU has fallen off the bus, on purpose")
 
 
 def give_nan(raw: Raw) -> Raw:
@@ -64,11 +59,6 @@ def hang(raw: Raw) -> Raw:
     return raw
 
 
-def hang_for_long(raw: Raw) -> Raw:
-    time.sleep(LONG_HANG_S)
-    return raw
-
-
 FAULTS = {
     "raise": fail,
     "out of memory": run_out_of_memory,
@@ -76,8 +66,6 @@ FAULTS = {
     "wrong shape": give_wrong_shape,
     "slow": be_slow,
     "hang": hang,
-    "device lost": lose_device,
-    "long hang": hang_for_long,
 }
 GREYS = {fault: grey for grey, fault in enumerate(FAULTS, start=1)}
 _FAULT_OF_GREY = {GREYS[name]: fault for name, fault in FAULTS.items()}

@@ -51,19 +51,6 @@ def number_of(what: str, cases: Sequence[str]) -> str:
     return f"{len(cases)} {what}" + (f" (first: {cases[0].partition(chr(10))[0][:200]})" if cases else "")
 
 
-def none_wrong(claim: str, done: str, what: str, wrong: Sequence[str], *, limit: str = "0") -> Finding:
-    """Finding of a claim that holds if no case of `what` is `wrong`."""
-    return Finding(claim, done, number_of(what, wrong), limit, not wrong)
-
-
-def none_wrong_nor_escaped(
-    claim: str, done: str, what: str, wrong: Sequence[str], escaped: Sequence[str], *, limit: str = "0, 0"
-) -> Finding:
-    """Like `none_wrong`, and no exception may have `escaped` in the subject."""
-    result = f"{number_of(what, wrong)}, {number_of('exceptions', escaped)}"
-    return Finding(claim, done, result, limit, not wrong and not escaped)
-
-
 def table(findings: Sequence[Finding]) -> str:
     """All findings in columns, one per line."""
     rows = [_HEADS, *map(_cells, findings)]

@@ -9,15 +9,15 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from support.detector_process import NODE, scene_image
 
 from soak.faults import faulty_image
 from soak.finding import Finding, number_of
-from soak.hostile_images import damaged_message, hostile_image, odd_image
-from soak.sender import Sender
+from soak.images import damaged_message, hostile_image, odd_image
 from soak.service_requests import Fuzz, HostileClient
-from soak.subject import Resources, Subject, camera
+from soak.subject import Resources, Sender, Subject, camera
 
 _LABELS = ("configure", "activate", "activate", "deactivate", "cleanup", "nonsense")
 _CAMERAS: dict[str, tuple[Any, ...]] = {
@@ -44,7 +44,11 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
     "depth": (True, False),
     "cameras": ([], ["front", "rear"], ["rear", "left"], ["front", "front"]),
     "front.max_rate": (5.0, -1.0),
+    "front.depth": (True, False),
+    "front.track_match_threshold": (0.3, 2.5, "x"),
     "rear.tracker": ("bytetrack", "none"),
+    "rear.image_transport": ("raw", "compressed"),
+    "rear.regions": (["0,0 1,0 1,1 0,1"], []),
     "weights": ("/nowhere.pt",),
 }
 _FAULTS = ("raise", "out of memory", "NaN", "wrong shape", "slow")
@@ -62,20 +66,23 @@ class MixedLife:
         self._viewer: Any = None
         self._client = HostileClient(subject)
         subject.bring_to("active")
-        self._sender = Sender(subject, "raw")
+        self._sender = Sender(subject)
+        self._senders = [self._sender, *(Sender(subject, name=name) for name in ("front", "rear", "left"))]
         self.done: Counter[str] = Counter()
         self._actions: dict[str, tuple[int, Callable[[], object]]] = {
             "transitions": (10, lambda: subject.transition(self._choose(_LABELS))),
             "storms": (5, self._storm),
             "settings": (10, self._set),
             "hostile requests": (10, lambda: self._client.ask(self._fuzz)),
-            "hostile images": (10, lambda: self._sender.send(hostile_image(self._fuzz))),
-            "damaged messages": (10, lambda: self._sender.send(damaged_message(self._fuzz))),
-            "whole images": (10, lambda: self._sender.send(scene_image())),
-            "odd images": (5, lambda: self._sender.send(odd_image(self._fuzz))),
+            "hostile images": (10, lambda: self._send(hostile_image(self._fuzz))),
+            "damaged messages": (10, lambda: self._send(damaged_message(self._fuzz))),
+            "whole images": (10, lambda: self._send(scene_image())),
+            "odd images": (5, lambda: self._send(odd_image(self._fuzz))),
+            "depth images": (5, lambda: self._choose(self._senders).send_depth()),
+            "deleted overrides": (2, self._inherit),
             "viewers": (2, self._change_viewer),
-            "faults": (5, lambda: self._sender.send(faulty_image(self._choose(_FAULTS)))),
-            "hangs": (1, lambda: self._sender.send(faulty_image("hang"))),
+            "faults": (5, lambda: self._send(faulty_image(self._choose(_FAULTS)))),
+            "hangs": (1, lambda: self._send(faulty_image("hang"))),
             "pauses": (3, lambda: subject.observer.work_for(self._fuzz.random.uniform(0, 0.5))),
             "cameras": (2, self._change_camera),
         }
@@ -103,8 +110,16 @@ class MixedLife:
         self._subject.transition("deactivate")  # first, as the node may deactivate itself at any time
         self._subject.reset()
         self._subject.bring_to("active")
-        self._sender.wait_until_heard()
         self._sender.send_whole()
+
+    def _send(self, image: Any) -> None:
+        """From the only camera or a named one, which may not be there."""
+        self._choose(self._senders).send(image)
+
+    def _inherit(self) -> None:
+        """Delete an override, as `ros2 param delete` does."""
+        name = self._choose([name for name in _SETTINGS if "." in name])
+        self._subject.set_one_by_one([Parameter(name, Parameter.Type.NOT_SET).to_parameter_msg()])
 
     def _storm(self) -> None:
         """Simultaneous transitions and reloads."""

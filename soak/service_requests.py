@@ -12,7 +12,7 @@ from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterValue
 from support.detector_process import NODE
 
-from soak.finding import Finding, none_wrong_nor_escaped
+from soak.finding import Finding, number_of
 from soak.subject import Subject
 from yolov5_lifecycle.settings.settings import SETTINGS
 
@@ -151,10 +151,11 @@ def answered_requests(subject: Subject, seeds: Iterable[int], per_seed: int) -> 
                 client.ask(fuzz, most=life - client.sent)
     subject.reset()
     client.close()
-    return none_wrong_nor_escaped(
-        "every hostile request is answered",
-        f"{client.sent} requests to {client.services} services, seeds {seeds}",
-        "unanswered",
-        client.unanswered,
-        subject.escaped,
+    escaped = subject.escaped
+    return Finding(
+        claim="every hostile request is answered",
+        done=f"{client.sent} requests to {client.services} services, seeds {seeds}",
+        result=f"{number_of('unanswered', client.unanswered)}, {number_of('exceptions', escaped)}",
+        limit="0, 0",
+        is_met=not client.unanswered and not escaped,
     )

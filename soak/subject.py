@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import time
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -12,22 +13,41 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import cv2
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from support.detector_process import NODE, PARAMETERS, DetectorProcess, as_arguments, environment
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from support.depth_messages import camera_info_message, depth_message
+from support.detector_process import (
+    NODE,
+    PARAMETERS,
+    DetectorProcess,
+    as_arguments,
+    environment,
+    is_matched_reliably,
+    scene_image,
+)
+from vision_msgs.msg import Detection2DArray
 
 from soak import faulty_detector
 from soak.balance import BalanceWatch
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, own_domain
-from yolov5_lifecycle.ros.messages import stamp_ns
+from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0
 _NONE: Mapping[str, str] = MappingProxyType({})
+_PACE_S = 0.002
+"""Pause between images; one sent at once would replace the one before it unprocessed."""
+_ANSWER_S = 5.0
+_QUEUE = 1000
+_DEPTH_HW = (240, 320)
+_TRANSPORTS = {"raw": (Image, "image_raw"), "compressed": (CompressedImage, "image_raw/compressed")}
 
 
 @dataclass(frozen=True)
@@ -101,6 +121,79 @@ class Subject(DetectorProcess):
 
     def _read_log(self) -> None:
         self._escaped |= dict.fromkeys(exceptions_in(self.process.output))
+
+
+class Sender:
+    """Sends images to an active subject, as its camera `name` or its only one, and hears what is detected."""
+
+    def __init__(self, subject: Subject, transport: str = "raw", name: str = "") -> None:
+        self.name = name
+        self.whole = 0
+        """How often a readable image was sent by `send_whole`."""
+        self._subject = subject
+        self._observer = subject.observer
+        self._transport = transport
+        self._last: Any = None
+        prefix = f"{NODE}/{name}".rstrip("/")
+        kind, topic = (
+            (Image, "image_raw") if transport == "raw" else (CompressedImage, "image_raw/compressed")
+        )
+        self._images = self._observer.create_publisher(kind, f"{prefix}/{topic}", 1)
+        self._depth = self._observer.create_publisher(Image, f"{prefix}/depth/image_raw", 1)
+        self._camera_info = self._observer.create_publisher(CameraInfo, f"{prefix}/depth/camera_info", 1)
+        self._subscription = self._observer.create_subscription(
+            Detection2DArray, f"{prefix}/detections", self._hear, _QUEUE
+        )
+
+    def wait_until_heard(self) -> None:
+        """Wait for the node to subscribe."""
+        self._observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
+
+    def wait_until_reliable(self) -> None:
+        """Wait for the node to subscribe reliably; images between its two subscriptions are not counted."""
+        self._observer.wait_for(
+            lambda: is_matched_reliably(self._observer, self._images), "the node to subscribe reliably"
+        )
+
+    def send(self, message: Any) -> None:
+        self._images.publish(message)
+        time.sleep(_PACE_S)
+
+    def send_depth(self) -> None:
+        """A wall two metres away, now."""
+        now_s = time.time()
+        self._camera_info.publish(camera_info_message(now_s))
+        self._depth.publish(depth_message(np.full(_DEPTH_HW, 2.0, np.float32), now_s))
+
+    def send_whole(self) -> None:
+        """Send a readable image until it is detected."""
+        self.wait_until_heard()
+        image = scene_image()
+        message = image if self._transport == "raw" else _compressed(image)
+        sent_s = float("-inf")
+
+        def is_detected() -> bool:
+            nonlocal sent_s
+            if time.monotonic() - sent_s > _ANSWER_S:
+                self.send(message)
+                self.whole += 1
+                sent_s = time.monotonic()
+            return bool(self._last == image.header)
+
+        self._observer.wait_for(is_detected, f"the detections of a whole image {self.name}".rstrip())
+
+    def close(self) -> None:
+        self._observer.destroy_subscription(self._subscription)
+        for publisher in (self._images, self._depth, self._camera_info):
+            self._observer.destroy_publisher(publisher)
+
+    def _hear(self, message: Detection2DArray) -> None:
+        self._last = message.header
+
+
+def _compressed(image: Image) -> CompressedImage:
+    data = cv2.imencode(".jpg", image_of_message(image).pixels)[1].tobytes()
+    return CompressedImage(header=image.header, format="jpeg", data=array("B", data))
 
 
 def _camera_of(status_name: str) -> str:

@@ -44,7 +44,7 @@ settings.load_profile("suite")
 
 def pytest_configure(config: pytest.Config) -> None:
     is_worker = "PYTEST_XDIST_WORKER" in os.environ
-    config.pluginmanager.register(Worker() if is_worker else WholeRun(config.getvalue("maxfail")))
+    config.pluginmanager.register(Worker() if is_worker else WholeRun(config.getvalue("maxfail") or 0))
 
 
 @pytest.hookimpl(optionalhook=True)

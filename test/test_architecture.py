@@ -5,16 +5,18 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from inspect import getfile
-from itertools import chain
 from pathlib import Path
 
 import pytest
 from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
+
+from yolov5_lifecycle.settings.settings import SETTINGS
 
 PACKAGE = REPOSITORY / "yolov5_lifecycle"
 ROS_MODULES = (
@@ -135,25 +137,39 @@ def test_settings_are_imported_at_the_edge_only() -> None:
     assert [module for module in users if not module.startswith(EDGE)] == []
 
 
+def printed_by(program: str) -> str:
+    """What a new process prints."""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def modules_in(*folders: str) -> list[str]:
+    return [module for module in MODULES if folder_of(module) in folders]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("folders", "blocked"),
+    ("modules", "blocked"),
     [
-        pytest.param(WITHOUT_TORCH, ("torch", *ROS_MODULES), id="torch"),
-        pytest.param(("spatial",), ("cv2", "torch", *ROS_MODULES), id="all but numpy"),
-        pytest.param(("commands", "detection"), ("onnx", "onnxruntime", "openvino"), id="ONNX"),
+        pytest.param(modules_in(*WITHOUT_TORCH), ("torch", *ROS_MODULES), id="torch"),
+        pytest.param(modules_in("spatial"), ("cv2", "torch", *ROS_MODULES), id="all but numpy"),
+        pytest.param(modules_in("commands", "detection"), ("onnx", "onnxruntime", "openvino"), id="ONNX"),
+        pytest.param(["ros.console.command"], ("torch", "cv2"), id="the console"),
+        pytest.param(
+            ["ros.camera.node", "ros.demo.command", "ros.detector.command"],
+            ("h11", "prometheus_client", "starlette", "uvicorn", "websockets"),
+            id="a web server",
+        ),
     ],
 )
 def test_what_does_not_need_a_library_imports_without_it(
-    folders: tuple[str, ...], blocked: tuple[str, ...]
+    modules: list[str], blocked: tuple[str, ...]
 ) -> None:
-    names = [f"yolov5_lifecycle.{module}" for module in MODULES if folder_of(module) in folders]
-    program = (
-        f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); "
-        f"import importlib; [importlib.import_module(name) for name in {names!r}]"
+    printed_by(
+        f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import importlib; "
+        f"[importlib.import_module('yolov5_lifecycle.' + name) for name in {modules!r}]"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
 
 
 def private_attributes(tree: ast.Module) -> set[str]:
@@ -206,26 +222,12 @@ def test_a_node_sets_no_attribute_of_rclpys_nodes() -> None:
     ] == []
 
 
-@pytest.mark.long
-def test_the_console_needs_no_torch_and_the_nodes_no_web_server() -> None:
-    web = ("h11", "prometheus_client", "starlette", "uvicorn", "websockets")
-    others = ("ros.camera.node", "ros.demo.command", "ros.detector.command")
-    for names, blocked in ((["ros.console.command"], ("torch", "cv2")), (others, web)):
-        program = (
-            f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import importlib; "
-            f"[importlib.import_module('yolov5_lifecycle.' + name) for name in {names!r}]"
-        )
-        run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-        assert run.returncode == 0, run.stderr
-
-
 def test_importing_the_package_loads_no_library_and_changes_no_environment_variable() -> None:
     program = (
         "import os, sys; before = dict(os.environ); import yolov5_lifecycle; dir(yolov5_lifecycle); "
         "print(before == dict(os.environ), sorted({'torch', 'numpy', 'cv2', 'pydantic'} & set(sys.modules)))"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert run.stdout == "True []\n"
+    assert printed_by(program) == "True []\n"
 
 
 def test_importing_the_detector_loads_no_runtime_and_no_torch() -> None:
@@ -234,10 +236,19 @@ def test_importing_the_detector_loads_no_runtime_and_no_torch() -> None:
         "print(sorted(name for name in sys.modules if name.startswith('yolov5_lifecycle.runtimes.')), "
         "sorted({'torch', 'onnxruntime', 'openvino', 'pydantic'} & set(sys.modules)))"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     # The interface, which has the error that the detector raises.
-    assert run.stdout == "['yolov5_lifecycle.runtimes.runtime'] []\n"
+    assert printed_by(program) == "['yolov5_lifecycle.runtimes.runtime'] []\n"
 
 
-def test_the_ranks_name_each_folder_once() -> None:
-    assert len(list(chain(*RANKS))) == len(RANK)
+def words_of(tree: ast.Module) -> Iterator[str]:
+    """Every identifier, keyword and text constant."""
+    for node in ast.walk(tree):
+        found = (getattr(node, name, None) for name in ("attr", "id", "arg", "value"))
+        yield from (word for word in found if isinstance(word, str))
+
+
+def test_every_setting_is_used() -> None:
+    used = {
+        word for module, tree in MODULES.items() if module != "settings.settings" for word in words_of(tree)
+    }
+    assert [setting.name for setting in SETTINGS if setting.name not in used] == []

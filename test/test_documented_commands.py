@@ -30,7 +30,6 @@ from support.pages import (
     TUTORIAL,
     blocks,
     declared_arguments,
-    every_page,
     spans,
     topics_of_examples,
     typed,
@@ -42,8 +41,6 @@ import fuzz.__main__ as fuzz
 import soak.__main__ as soak
 from benchmark import bench, cameras, collected_errors, collecting, depth, mask_accuracy
 from benchmark.tracking import __main__ as tracking
-from tools import matrix
-from tools.mutants import folders as mutants
 from tools.shapes import dataset
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.commands import convert, fetch_weights
@@ -60,7 +57,7 @@ NOT_RUN = {
     "~/yolov5_release/bin/": "downloads gigabytes; test_installed_package.py runs the demo of the wheels",
     "git clone ": "the address depends on where the repository is hosted",
     "cd ": "the folder of that clone",
-    "pixi ": "no conda channel can be reached here; test_distribution.py checks what pixi.toml names",
+    "pixi ": "no conda channel can be reached here; test_packaging.py checks what pixi.toml names",
     "mkdir ": "makes the folder that the container is given",
     "docker ": "no container engine here; test_docker.py checks the recipe, and docker/try-build the image",
     "podman ": "builds the image, as docker/try-build does",
@@ -93,8 +90,6 @@ PARSERS = {
     "BENCH_FLAGS": bench.parser,
     "CAMERAS_FLAGS": cameras.parser,
     "FUZZ_FLAGS": fuzz.parser,
-    "MATRIX_FLAGS": matrix.parser,
-    "MUTANTS_FLAGS": mutants.parser,
     "SOAK_FLAGS": soak.parser,
     "TRACKING_FLAGS": tracking.parser,
 }
@@ -106,6 +101,7 @@ MODULE_PARSERS = {
     "benchmark.depth": depth.parser,
     "benchmark.mask_accuracy": mask_accuracy.parser,
     "benchmark.tracking": tracking.parser,
+    "tools.shapes.dataset": dataset.parser,
 }
 """What takes the words behind a module that Python runs."""
 TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
@@ -178,10 +174,6 @@ def check_module(module: str, *words: str) -> None:
     MODULE_PARSERS[module]().parse_args(words)
 
 
-def check_dataset(*words: str) -> None:
-    dataset.parser().parse_args(words)
-
-
 def check_service(verb: str, service: str, service_type: str, request: str = "{}") -> None:
     assert verb == "call"
     if (service, service_type) == (f"{NODE}/collect", "std_srvs/srv/Trigger"):
@@ -200,7 +192,7 @@ def check_service(verb: str, service: str, service_type: str, request: str = "{}
 CHECKS: dict[str, Callable[..., None]] = {
     "make": check_make,
     ".venv/bin/python -m": check_module,
-    "python -m tools.shapes.dataset": check_dataset,
+    "python -m": check_module,
     "ros2 param": check_param,
     "ros2 lifecycle": check_lifecycle,
     "ros2 service": check_service,
@@ -219,31 +211,21 @@ def is_excused(command: str) -> bool:
     return command.startswith(tuple(NOT_RUN))
 
 
-@every_page
-def test_a_command_is_run_or_checked_or_has_a_reason_why_not(page: Path) -> None:
-    forgotten = [
-        command
-        for command in commands(page)
-        if not (is_excused(command) or check_of(command) or of_package(command))
-    ]
-    assert forgotten == [], "add a check to CHECKS, or to NOT_RUN why there is none"
+def test_a_command_is_run_or_checked_or_has_a_reason_why_not() -> None:
+    everything = list(dict.fromkeys(command for page in PAGES for command in commands(page)))
+    others = [command for command in everything if not (check_of(command) or of_package(command))]
+    assert [each for each in others if not is_excused(each)] == [], "add to CHECKS, or to NOT_RUN why not"
+    assert [start for start in NOT_RUN if not any(each.startswith(start) for each in everything)] == []
 
 
-def test_every_reason_is_one_for_a_command_of_the_docs() -> None:
-    given = [command for page in PAGES for command in commands(page)]
-    assert [start for start in NOT_RUN if not any(map(str.startswith, given, [start] * len(given)))] == []
+@pytest.mark.parametrize("start", CHECKS)
+def test_a_command_of_ros_or_make_names_only_what_exists(start: str) -> None:
+    for command in (each for page in PAGES for each in commands(page) if check_of(each) == start):
+        CHECKS[start](*shlex.split(command.removeprefix(start)))
 
 
-@every_page
-def test_a_command_of_ros_or_make_names_only_what_exists(page: Path) -> None:
-    for command in commands(page):
-        if start := check_of(command):
-            CHECKS[start](*shlex.split(command.removeprefix(start)))
-
-
-@every_page
-def test_the_words_that_make_hands_on_are_understood(page: Path) -> None:
-    for span in spans(page):
+def test_the_words_that_make_hands_on_are_understood() -> None:
+    for span in (span for page in PAGES for span in spans(page)):
         if assignment := re.fullmatch(r'(\w+_FLAGS)="(.*)"', span):
             check_flags(*assignment.groups())
 

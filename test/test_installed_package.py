@@ -23,8 +23,6 @@ from support.recorded_scene import COUNT, raw, record
 
 pytestmark = pytest.mark.long
 NEEDS_ROS = ("camera", "console", "demo", "detector")
-WITHOUT_ROS = tuple(command for command in COMMANDS if command not in NEEDS_ROS)
-
 
 RELEASE_WHEELS = os.environ.get("RELEASE_WHEELS")
 
@@ -57,11 +55,6 @@ def messages_of_release(python: str) -> list[Path]:
     return list(Path(RELEASE_WHEELS or "").glob(f"{PACKAGE}_interfaces-*-{python}-*.whl"))
 
 
-@pytest.fixture
-def home(tmp_path: Path) -> Path:
-    return tmp_path
-
-
 def run(home: Path, *words: str | Path, path: str = os.defpath) -> subprocess.CompletedProcess[str]:
     """Run a command in the folder `home`, without the environment variables of the tests."""
     environment = {"PATH": path, "HOME": str(home)}
@@ -69,7 +62,7 @@ def run(home: Path, *words: str | Path, path: str = os.defpath) -> subprocess.Co
 
 
 def test_every_module_that_needs_no_ros_and_no_other_extra_can_be_imported(
-    executables: Path, home: Path
+    executables: Path, tmp_path: Path
 ) -> None:
     program = f"""
 import importlib, importlib.util, pkgutil
@@ -83,7 +76,7 @@ for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         except ImportError as error:
             print(error.name)
 """
-    told = run(home, executables / "python", "-W", "error", "-c", program)
+    told = run(tmp_path, executables / "python", "-W", "error", "-c", program)
     assert (told.returncode, told.stderr) == (0, "")
     place, *failed = told.stdout.splitlines()
     assert place.startswith(str(executables.parent))
@@ -91,50 +84,45 @@ for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_tells_its_version(command: str, executables: Path, home: Path) -> None:
-    told = run(home, executables / command, "--version")
+def test_a_command_tells_its_version_and_its_arguments_or_that_it_needs_ros(
+    command: str, executables: Path, tmp_path: Path
+) -> None:
+    told = run(tmp_path, executables / command, "--version")
     assert (told.returncode, told.stderr) == (0, "")
     assert told.stdout.startswith(f"{command} ")
     assert "not installed" not in told.stdout
+    told = run(tmp_path, executables / command, "--help")
+    if command in NEEDS_ROS:
+        assert (told.returncode, told.stdout) == (1, "")
+        (line,) = told.stderr.splitlines()
+        assert "source ROS first" in line
+    else:
+        assert (told.returncode, told.stderr) == (0, "")
+        assert told.stdout.startswith(f"usage: {command}")
 
 
-@pytest.mark.parametrize("command", WITHOUT_ROS)
-def test_a_command_without_ros_tells_its_arguments(command: str, executables: Path, home: Path) -> None:
-    told = run(home, executables / command, "--help")
-    assert (told.returncode, told.stderr) == (0, "")
-    assert told.stdout.startswith(f"usage: {command}")
-
-
-@pytest.mark.parametrize("command", NEEDS_ROS)
-def test_a_command_that_needs_ros_says_so(command: str, executables: Path, home: Path) -> None:
-    told = run(home, executables / command, "--help")
-    assert (told.returncode, told.stdout) == (1, "")
-    (line,) = told.stderr.splitlines()
-    assert "source ROS first" in line
-
-
-def test_a_recording_is_detected_in(executables: Path, home: Path) -> None:
-    record(home / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
+def test_a_recording_is_detected_in(executables: Path, tmp_path: Path) -> None:
+    record(tmp_path / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
     weights = f"package://{PACKAGE}/weights/shapes.safetensors"
     words = ["drive", "--output", "found", "--set", f"weights={weights}", "--set", "runtime=onnxruntime"]
-    told = run(home, executables / "detect_bag", *words)
+    told = run(tmp_path, executables / "detect_bag", *words)
     assert told.returncode == 0, told.stderr
     assert f"{COUNT}: {COUNT} detected, 0 rejected, 0 failed" in told.stderr
-    with Reader(home / "found") as reader:
+    with Reader(tmp_path / "found") as reader:
         assert reader.topics["/yolov5/detections"].msgcount == COUNT
 
 
-def test_a_checkpoint_is_converted(executables: Path, home: Path) -> None:
-    (home / "model.pt").write_bytes(saved(stripped(official_model())))
-    told = run(home, executables / "convert", "model.pt", "model.safetensors")
+def test_a_checkpoint_is_converted(executables: Path, tmp_path: Path) -> None:
+    (tmp_path / "model.pt").write_bytes(saved(stripped(official_model())))
+    told = run(tmp_path, executables / "convert", "model.pt", "model.safetensors")
     assert (told.returncode, told.stderr) == (0, "")
-    assert (home / "model.safetensors").is_file()
+    assert (tmp_path / "model.safetensors").is_file()
 
 
 def test_with_the_extra_ros_the_demo_needs_no_compiler_and_no_ros_from_apt(
-    executables_with_ros: Path, home: Path
+    executables_with_ros: Path, tmp_path: Path
 ) -> None:
-    told = run(home, executables_with_ros / "demo", path=str(home / "no programs"))
+    told = run(tmp_path, executables_with_ros / "demo", path=str(tmp_path / "no programs"))
     assert told.returncode == 0, told.stdout + told.stderr
     assert told.stdout.splitlines()[-1].startswith("demo ok")
 
@@ -153,27 +141,27 @@ def test_the_messages_have_the_official_types_in_the_wheel_of_every_python(packa
         assert {each["type_name"]: each["hash_string"] for each in types} == official
 
 
-def test_the_messages_bring_their_licences(executables_with_ros: Path, home: Path) -> None:
+def test_the_messages_bring_their_licences(executables_with_ros: Path, tmp_path: Path) -> None:
     program = f"""
 from importlib.metadata import distribution
 for file in distribution("{PACKAGE}_interfaces").files:
     if file.name == "LICENSE":
         print(file.parent.name, file.read_text().split()[0])
 """
-    told = run(home, executables_with_ros / "python", "-c", program)
+    told = run(tmp_path, executables_with_ros / "python", "-c", program)
     assert sorted(told.stdout.splitlines()) == ["bond Copyright", "vision_msgs Apache"], told.stderr
 
 
 def test_without_opencv_a_command_says_how_to_install_it(
-    wheel: Path, home: Path, tmp_path_factory: pytest.TempPathFactory
+    wheel: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("without OpenCV") / "environment"
     executables = build_environment(folder, [wheel], ("bag",))
-    assert run(home, executables / "detect_bag", "--help").returncode == 0
-    told = run(home, executables / "detect_bag", "drive.mp4")
+    assert run(tmp_path, executables / "detect_bag", "--help").returncode == 0
+    told = run(tmp_path, executables / "detect_bag", "drive.mp4")
     assert (told.returncode, told.stdout) == (1, "")
     (line,) = told.stderr.splitlines()
     assert "No module named 'cv2'" in line
     python = shlex.quote(str(executables / "python"))
     assert f"Install it with {python} -m pip install opencv-python-headless" in line
-    assert run(home, executables / "convert", "--help").returncode == 0
+    assert run(tmp_path, executables / "convert", "--help").returncode == 0

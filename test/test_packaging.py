@@ -1,9 +1,10 @@
-"""What a user gets: the colcon build, the installed commands, the declared and the pinned dependencies."""
+"""What a user gets: the colcon build, the installed commands, declared, pinned and Pixi's dependencies."""
 
 from __future__ import annotations
 
 import ast
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -26,6 +27,7 @@ TYPED_COMMANDS = {"ros2launch"}
 """Nobody imports it: it is where `ros2` has the word from that starts the launch files."""
 MODULE_OF_APT = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
 MODULE_OF_PIP = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "backports.zstd": "backports"}
+OF_CONDA = {"torch": "pytorch", "opencv-python-headless": "py-opencv"}
 SETS = {
     "tested": "constraints.txt",
     "apt": "constraints-apt.txt",
@@ -47,43 +49,24 @@ def in_built_workspace(workspace: Path, command: str) -> str:
 
 
 @pytest.mark.long
-def test_colcon_builds_this_package_alone(workspace: Path) -> None:
-    assert [folder.name for folder in (workspace / "install").iterdir() if folder.is_dir()] == [PACKAGE]
+def test_colcon_builds_this_package_alone_with_its_executables_where_ros2_run_looks(prefix: Path) -> None:
+    assert [folder.name for folder in prefix.parent.iterdir() if folder.is_dir()] == [PACKAGE]
+    executables = list((prefix / "lib" / PACKAGE).iterdir())
+    assert sorted(file.name for file in executables) == sorted(COMMANDS)
+    assert all(os.access(file, os.X_OK) for file in executables)
 
 
-@pytest.mark.long
-def test_the_executables_lie_where_ros2_run_looks(prefix: Path) -> None:
-    folder = prefix / "lib" / PACKAGE
-    assert sorted(file.name for file in folder.iterdir()) == sorted(COMMANDS)
-    assert all(os.access(file, os.X_OK) for file in folder.iterdir())
-
-
-def test_the_package_is_in_the_ament_index(prefix: Path) -> None:
-    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / PACKAGE).is_file()
-    assert (prefix / "share" / PACKAGE / "package.xml").is_file()
-
-
-@pytest.mark.parametrize("folder", SHARED_FOLDERS)
-def test_every_file_of_a_data_folder_is_installed(prefix: Path, folder: str) -> None:
-    published = {file.name for file in published_files() if file.parts[0] == folder and len(file.parts) == 2}
-    shared = prefix / "share" / PACKAGE / folder
-    assert ({file.name for file in shared.iterdir()} if shared.exists() else set()) == published
-
-
-def test_the_configuration_and_the_embedded_models_are_shared(prefix: Path) -> None:
-    assert (prefix / "share" / PACKAGE / "config" / "yolov5.yaml").is_file()
-    models = {file.name for file in (prefix / "share" / PACKAGE / "weights").glob("*.safetensors")}
-    assert models == {"shapes.safetensors", "shapes-seg.safetensors"}
-
-
-def test_every_module_is_installed(prefix: Path) -> None:
+def test_the_build_has_every_module_and_file_of_the_package(prefix: Path) -> None:
+    share = prefix / "share"
+    assert (share / "ament_index" / "resource_index" / "packages" / PACKAGE).is_file()
+    assert (share / PACKAGE / "package.xml").is_file()
+    for folder in SHARED_FOLDERS:
+        files = [file for file in published_files() if file.parts[0] == folder and len(file.parts) == 2]
+        assert {file.name for file in (share / PACKAGE / folder).iterdir()} == {file.name for file in files}
     (installed,) = prefix.glob(f"lib/python3*/site-packages/{PACKAGE}")
     published = {file.relative_to(PACKAGE) for file in published_files() if file.parts[0] == PACKAGE}
-    assert {
-        file.relative_to(installed)
-        for file in installed.rglob("*")
-        if file.suffix != ".pyc" and file.is_file()
-    } == published
+    found = [file for file in installed.rglob("*") if file.suffix != ".pyc" and file.is_file()]
+    assert {file.relative_to(installed) for file in found} == published
 
 
 def test_a_built_executable_runs_with_the_built_modules(workspace: Path) -> None:
@@ -95,11 +78,11 @@ def test_a_built_executable_runs_with_the_built_modules(workspace: Path) -> None
     assert "safetensors" in help_text
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_is_installed_and_its_function_exists(command: str) -> None:
-    (entry,) = distribution(PACKAGE).entry_points.select(group="console_scripts", name=command)
-    assert callable(entry.load())
-    assert os.access(Path(sys.executable).with_name(command), os.X_OK)
+def test_every_command_is_installed_and_its_function_exists() -> None:
+    for command in COMMANDS:
+        (entry,) = distribution(PACKAGE).entry_points.select(group="console_scripts", name=command)
+        assert callable(entry.load())
+        assert os.access(Path(sys.executable).with_name(command), os.X_OK)
 
 
 def test_activating_the_environment_leaves_no_path_of_another_ros() -> None:
@@ -184,18 +167,12 @@ def from_package_index(installed: Distribution) -> bool:
     )
 
 
-def test_torch_is_the_same_in_both_sets_while_numpy_scipy_and_opencv_differ() -> None:
-    newest, apt = pins(SETS["tested"]), pins(SETS["apt"])
-    assert newest["torch"] == apt["torch"] == "2.13.0"
+def test_the_sets_differ_only_in_what_they_are_for() -> None:
+    newest, apt, kilted = (pins(SETS[name]) for name in ("tested", "apt", "kilted"))
     assert differing(newest, apt) == {"numpy", "opencv-python-headless", "scipy"}
     assert apt["numpy"].startswith("1.26.")
-
-
-def test_with_kilted_only_the_packages_of_ros_differ() -> None:
-    jazzy, kilted = pins(SETS["tested"]), pins(SETS["kilted"])
-    assert "ros-rclpy" in differing(jazzy, kilted)
-    assert all(name.startswith("ros-") for name in differing(jazzy, kilted))
-    assert (jazzy["ros-rclpy"], kilted["ros-rclpy"]) == ("7.1.6", "9.1.2")
+    assert "ros-rclpy" in differing(newest, kilted)
+    assert all(name.startswith("ros-") for name in differing(newest, kilted))
 
 
 def differing(one: dict[str, str], other: dict[str, str]) -> set[str]:
@@ -214,23 +191,45 @@ def test_every_installed_package_is_pinned() -> None:
 
 
 @pytest.mark.parametrize(
-    ("version", "package_set", "fits"),
-    [
-        pytest.param((3, 9), "tested", False, id="too old"),
-        pytest.param((3, 10), "tested", True, id="oldest"),
-        pytest.param((3, 13), "tested", True, id="newest"),
-        pytest.param((3, 14), "tested", False, id="too new"),
-        pytest.param((3, 12), "apt", True, id="newest with numpy 1.26"),
-        pytest.param((3, 13), "apt", False, id="too new for numpy 1.26"),
-        pytest.param((3, 13), "kilted", True, id="newest with Kilted"),
-        pytest.param((3, 14), "kilted", False, id="too new for Kilted"),
-    ],
+    ("package_set", "newest"), [("tested", (3, 13)), ("apt", (3, 12)), ("kilted", (3, 13))]
 )
 def test_an_unsuitable_python_is_named_with_the_suitable_ones(
-    version: tuple[int, int], package_set: str, fits: bool
+    package_set: str, newest: tuple[int, int]
 ) -> None:
     python_problem = runpy.run_path(str(REPOSITORY / "requirements" / "check_machine.py"))["python_problem"]
-    problem = python_problem(version, package_set)
-    assert (
-        problem == "" if fits else "Python 3.10 to 3.1" in problem and f"{version[0]}.{version[1]}" in problem
-    )
+    assert python_problem((3, 10), package_set) == python_problem(newest, package_set) == ""
+    for major, minor in ((3, 9), (3, newest[1] + 1)):
+        problem = python_problem((major, minor), package_set)
+        assert f"Python 3.10 to 3.{newest[1]}" in problem
+        assert f"{major}.{minor}" in problem
+
+
+def pixi_dependencies() -> dict[str, str]:
+    """Name and version range of what pixi.toml takes from the conda channels."""
+    section = (REPOSITORY / "pixi.toml").read_text().partition("[dependencies]\n")[2].partition("\n[")[0]
+    return dict(re.findall(r'^([\w-]+) = "([^"]+)"', section, re.MULTILINE))
+
+
+def declared_requirements() -> list[Requirement]:
+    """What setup.py asks for, with OpenCV and scipy, which conda has for everybody."""
+    requirements = [Requirement(line) for line in distribution(PACKAGE).requires or []]
+    extras = {"", "opencv", "tracking"}
+    return [
+        each
+        for each in requirements
+        if each.marker is None or any(each.marker.evaluate({"extra": extra}) for extra in extras)
+    ]
+
+
+def test_pixi_installs_every_dependency_of_the_manifest() -> None:
+    packages = {f"ros-jazzy-{key.replace('_', '-')}" for key in ros_packages()}
+    assert packages <= pixi_dependencies().keys()
+
+
+def test_pixi_installs_what_setup_asks_for_in_the_same_versions() -> None:
+    ranges = {
+        OF_CONDA.get(name, name): str(each.specifier) or "*"
+        for each in declared_requirements()
+        for name in [canonicalize_name(each.name)]
+    }
+    assert ranges.items() <= pixi_dependencies().items()

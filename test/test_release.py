@@ -1,4 +1,4 @@
-"""What a release consists of, and what PyPI shows of it."""
+"""What a release consists of, what PyPI shows of it, and what is said of its changes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
 
-from tools.release.commit import Commit
-from tools.release.package_build import archived_files, build_package, content_problems
-from tools.release.versions import version_problems
+from tools.release import archived_files, build_package, content_problems, exported, version_problems
+from tools.release_notes import notes
 from yolov5_lifecycle.doctor.system import NEWEST_PYTHON, OLDEST_PYTHON
 
 pytestmark = pytest.mark.long
@@ -53,12 +52,6 @@ def test_with_an_address_the_links_of_the_description_lead_to_the_tag_of_the_rel
     assert not RELATIVE.search(text)
     assert f"({ADDRESS}/blob/v{version}/docs/models.md)" in text
     assert f"({ADDRESS}/raw/v{version}/docs/images/annotated.png)" in text
-
-
-def test_the_metadata_says_what_the_package_is_for() -> None:
-    metadata = distribution(PACKAGE).metadata
-    assert metadata["Description-Content-Type"] == "text/markdown"
-    assert metadata["License"] == "Apache-2.0"
 
 
 def test_the_pythons_of_the_metadata_are_those_of_the_doctor_and_of_make() -> None:
@@ -118,32 +111,14 @@ def test_the_version_is_the_same_wherever_it_is_written() -> None:
 @pytest.mark.parametrize(
     ("changed", "old", "new", "tag", "problem"),
     [
-        pytest.param("package.xml", "1.2.0", "1.2.0", "v1.2.0", "", id="all agree"),
+        pytest.param("package.xml", "", "", "v1.2.0", "", id="all agree"),
         pytest.param("CHANGELOG.md", "[1.2.0]", "[Unreleased]", "", "", id="nothing released yet"),
+        pytest.param("package.xml", "", "", "1.2.0", "tag 1.2.0: expected v1.2.0", id="tag without v"),
         pytest.param(
-            "package.xml", "1.2.0", "1.2.0", "1.2.0", "tag 1.2.0: expected v1.2.0", id="tag without v"
+            "CITATION.cff", "1.2.0", "1.1.0", "", "CITATION.cff: expected version 1.2.0", id="other"
         ),
-        pytest.param(
-            "package.xml", "1.2.0", "1.2.0", "v1.3.0", "tag v1.3.0: expected v1.2.0", id="other tag"
-        ),
-        pytest.param(
-            "CITATION.cff", "1.2.0", "1.1.0", "", "CITATION.cff: expected version 1.2.0", id="citation"
-        ),
-        pytest.param(
-            "CITATION.cff", "\nversion", "\ncommit", "", "found none", id="citation without version"
-        ),
-        pytest.param(
-            "interfaces/pyproject.toml",
-            "1.2.0",
-            "1.1.0",
-            "",
-            "interfaces/pyproject.toml: expected",
-            id="messages",
-        ),
-        pytest.param("CHANGELOG.md", "[1.2.0]", "[1.1.0]", "", "CHANGELOG.md: expected", id="changelog"),
-        pytest.param(
-            "CHANGELOG.md", "[1.2.0]", "[Unreleased]", "v1.2.0", "found none", id="no release notes"
-        ),
+        pytest.param("CITATION.cff", "\nversion", "\ncommit", "", "found none", id="without version"),
+        pytest.param("CHANGELOG.md", "[1.2.0]", "[Unreleased]", "v1.2.0", "found none", id="no notes"),
     ],
 )
 def test_a_version_that_differs_is_named(
@@ -166,20 +141,14 @@ def test_a_version_that_differs_is_named(
 def test_a_commit_is_exported_without_what_is_not_committed(tmp_path: Path) -> None:
     repository = tmp_path / "repository"
     repository.mkdir()
-    for words in (["init", "-q"], ["config", "user.email", "a@example.org"], ["config", "user.name", "A"]):
-        subprocess.run(["git", *words], cwd=repository, check=True)
     (repository / "kept").write_text("kept")
     (repository / "kept").chmod(0o600)
-    subprocess.run(["git", "add", "kept"], cwd=repository, check=True)
-    subprocess.run(["git", "commit", "-q", "-m", "kept"], cwd=repository, check=True)
+    identity = ["-c", "user.email=a@example.org", "-c", "user.name=A"]
+    for words in (["init", "-q"], ["add", "kept"], [*identity, "commit", "-q", "-m", "kept"]):
+        subprocess.run(["git", *words], cwd=repository, check=True)
     (repository / "new").write_text("new")
-    commit = Commit(repository)
-    folder = commit.export(tmp_path / "exported")
-    assert [file.name for file in folder.iterdir()] == ["kept"]
-    assert (folder / "kept").stat().st_mode & 0o777 == 0o644
-    assert commit.files() == {"kept"}
-    assert commit.uncommitted() == ["?? new"]
-    assert (folder / "kept").stat().st_mtime == commit.time()
+    (file,) = exported(tmp_path / "exported", repository).iterdir()
+    assert (file.name, file.stat().st_mode & 0o777) == ("kept", 0o644)
 
 
 MESSAGES = (
@@ -279,3 +248,77 @@ def test_the_wheel_is_the_same_wherever_it_is_built(source: Path, tmp_path: Path
     )
     assert [file.suffix for file in first] == [".gz", ".whl"]
     assert [file.read_bytes() for file in first] == [file.read_bytes() for file in second]
+
+
+CHANGELOG = """\
+# Changelog
+
+## [Unreleased]
+
+### Added
+- Not yet.
+
+## [1.10.0] - 2027-01-02
+
+### Fixed
+- Ten.
+
+## [1.1.0] - 2026-12-24
+
+First version.
+
+### Added
+- One.
+- `## [9.9.9]` in the text is no heading.
+
+## [1.0.0] - 2026-12-01
+## [0.9.0]
+- Oldest.
+
+[1.0.0]: https://example.org/1.0.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("version", "expected"),
+    [
+        pytest.param("1.10.0", "### Fixed\n- Ten.\n", id="newest"),
+        pytest.param(
+            "1.1.0",
+            "First version.\n\n### Added\n- One.\n- `## [9.9.9]` in the text is no heading.\n",
+            id="its number begins another",
+        ),
+        pytest.param("0.9.0", "- Oldest.\n", id="last, without a date, above the links"),
+    ],
+)
+def test_the_notes_are_the_section_of_the_version(version: str, expected: str) -> None:
+    assert notes(CHANGELOG, f"v{version}") == expected
+
+
+@pytest.mark.parametrize(
+    "version",
+    [
+        pytest.param("2.0.0", id="no heading"),
+        pytest.param("1.0.0", id="nothing below the heading"),
+        pytest.param("1x1.0", id="a pattern that fits another number"),
+    ],
+)
+def test_a_version_without_changes_is_refused_with_the_remedy(version: str) -> None:
+    with pytest.raises(ValueError, match="Rename the heading '## \\[Unreleased]'"):
+        notes(CHANGELOG, f"v{version}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        pytest.param([], "usage:", id="no tag"),
+        pytest.param(["1.1.0"], "expected a version behind 'v'", id="a tag without v"),
+        pytest.param(["v999.0.0"], "Rename the heading", id="a version without changes"),
+    ],
+)
+def test_the_command_explains_what_is_wrong_without_any_package(arguments: list[str], told: str) -> None:
+    command = [sys.executable, "-I", "-S", str(REPOSITORY / "tools" / "release_notes.py"), *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (1, "")
+    assert told in run.stderr
+    assert "Traceback" not in run.stderr

@@ -1,4 +1,4 @@
-"""The training of the embedded model: its images, its loss and how results are counted."""
+"""The training of the embedded models: their images, their losses and how results are counted."""
 
 from __future__ import annotations
 
@@ -7,19 +7,35 @@ import math
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
+from support.colcon_workspace import REPOSITORY
+from torch import Tensor
 
-from tools.shapes.evaluate import iou, tally
-from tools.shapes.images import Batches, spoil
+from tools.shapes.evaluate import tally
+from tools.shapes.images import MASK_CELL_PX, Batches, covered_shares, spoil
 from tools.shapes.labelled_image import LabelledImage
+from tools.shapes.learning import as_input
 from tools.shapes.loss import ciou, detection_loss, match
+from tools.shapes.mask_loss import COVERED_GAIN, mask_loss
 from tools.shapes.train import ARCHITECTURE
+from tools.shapes.train_masks import MaskBranch, joined, segmenting
+from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.masks import Masks
+from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.sources.scene import Truth
 
 pytestmark = pytest.mark.long
 
 NO_TARGETS = torch.empty(0, 6)
+SEGMENTING = segmenting(ARCHITECTURE)
+BOX, SHIFTED_BOX, FAR_BOX = (0, 0, 10, 10), (1, 0, 11, 10), (50, 50, 60, 60)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return load_weights(REPOSITORY / "weights" / "shapes.safetensors").model
 
 
 def _truth(*rows: tuple[int, tuple[float, ...]]) -> Truth:
@@ -36,23 +52,25 @@ def _detections(*rows: tuple[int, tuple[float, ...]]) -> Detections:
     return Detections(truth.boxes_xyxy, np.linspace(0.9, 0.5, len(rows), dtype=np.float32), truth.class_ids)
 
 
-def test_a_batch_depends_on_its_seed_and_number_alone() -> None:
-    batch, same, other = Batches(1, 9)[3], Batches(1, 9)[3], Batches(1, 9)[4]
+@pytest.mark.parametrize("index", range(6))
+def test_the_targets_and_masks_of_a_batch_lie_in_its_images_and_fill_their_boxes(index: int) -> None:
+    batch, same, other = Batches(2, 9)[index], Batches(2, 9)[index], Batches(2, 9)[index + 1]
     assert torch.equal(batch.pixels, same.pixels)
     assert torch.equal(batch.targets, same.targets)
     assert not torch.equal(batch.targets, other.targets)
-
-
-@pytest.mark.parametrize("index", range(6))
-def test_the_targets_of_a_batch_lie_in_its_images(index: int) -> None:
-    batch = Batches(2, 9)[index]
     count, _, height, width = batch.pixels.shape
-    number, _, x, y, w, h = batch.targets.T
     assert batch.pixels.dtype == torch.uint8
     assert height % 32 == width % 32 == 0
-    assert number.max() < count
-    assert ((x - w / 2 > -1e-3) & (x + w / 2 < width + 1e-3)).all()
-    assert ((y - h / 2 > -1e-3) & (y + h / 2 < height + 1e-3)).all()
+    assert batch.targets[:, 0].max() < count
+    assert batch.masks.shape == (len(batch.targets), height // MASK_CELL_PX, width // MASK_CELL_PX)
+    for (_, _, x, y, w, h), mask in zip(batch.targets.tolist(), batch.masks, strict=True):
+        box = torch.tensor((x - w / 2, y - h / 2, x + w / 2, y + h / 2))
+        assert ((box >= -1e-3) & (box <= torch.tensor((width, height) * 2) + 1e-3)).all()
+        rows, columns = mask.nonzero().T
+        (left, right), (top, bottom) = columns.aminmax(), rows.aminmax()
+        filled = torch.stack((left, top, right + 1, bottom + 1)) * MASK_CELL_PX
+        torch.testing.assert_close(filled.float(), box, atol=MASK_CELL_PX + 1.5, rtol=0)
+        assert 0.25 < mask.sum() * MASK_CELL_PX**2 / (w * h) < 1.01
 
 
 def test_degrading_does_not_change_its_input() -> None:
@@ -113,33 +131,85 @@ def test_the_cell_of_the_centre_and_its_nearest_neighbours_answer(
 def test_without_targets_only_objectness_is_to_be_learnt() -> None:
     logits = [torch.full((1, 3, size, size, 9), -20.0) for size in (8, 4, 2)]
     assert detection_loss(logits, NO_TARGETS, ARCHITECTURE).item() == pytest.approx(0, abs=1e-6)
+    prototypes = torch.randn(1, SEGMENTING.mask_coefficients, 16, 16)
+    assert mask_loss(_coefficients(), prototypes, NO_TARGETS, torch.empty(0, 16, 16), SEGMENTING).item() == 0
 
 
-def test_learning_lowers_the_loss() -> None:
+def test_the_share_of_a_cell_is_that_of_its_pixels() -> None:
+    labels = np.zeros((8, 12), np.uint16)
+    labels[1:3, 4:8] = 1
+    labels[2:8, 7:12] = 2
+    shares = covered_shares(labels, 3)
+    assert shares.dtype == np.float32
+    expected = [[[0, 7, 0], [0, 0, 0]], [[0, 2, 8], [0, 4, 16]], np.zeros((2, 3))]
+    np.testing.assert_array_equal(shares * MASK_CELL_PX**2, expected)
+
+
+def _coefficients(batch: int = 1) -> list[Tensor]:
     torch.manual_seed(0)
-    network = Network(ARCHITECTURE)
+    return [torch.randn(batch, 3, side, side, SEGMENTING.mask_coefficients) for side in (8, 4, 2)]
+
+
+def test_the_loss_of_masks_is_that_of_a_slow_reference() -> None:
+    coefficients = _coefficients(batch=2)
+    prototypes = torch.randn(2, SEGMENTING.mask_coefficients, 16, 16)
+    # One cell and anchor each: in a corner of the image, and of a size that fits one anchor only.
+    targets = torch.tensor([[0, 1, 1.0, 1.0, 9.0, 9.0], [1, 0, 63.0, 63.0, 9.0, 10.0]])
+    masks = torch.rand(2, 16, 16)
+    expected = 0.0
+    for (image, _, x, y, w, h), mask, cell in zip(targets.tolist(), masks, (0, 7), strict=True):
+        total = 0.0
+        for row, column in np.ndindex(16, 16):
+            is_near = abs(column + 0.5 - x / 4) < w / 8 + 1 and abs(row + 0.5 - y / 4) < h / 8 + 1
+            logit = coefficients[0][int(image), 0, cell, cell] @ prototypes[int(image), :, row, column]
+            found, wanted = 1 / (1 + math.exp(-float(logit))), float(mask[row, column])
+            total -= is_near * COVERED_GAIN * wanted * math.log(found)
+            total -= is_near * (1 - wanted) * math.log(1 - found)
+        expected += total / (w / 4 * h / 4) / 2
+    loss = mask_loss(coefficients, prototypes, targets, masks, SEGMENTING)
+    assert loss.item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_learning_lowers_both_losses(model: Model) -> None:
+    torch.manual_seed(0)
     batch = Batches(4, 9)[1]
-    pixels = batch.pixels[:2].float() / 255
+    network, taught = Network(ARCHITECTURE), model.network().eval()
+    branch = MaskBranch(SEGMENTING, taught.head)
+    with torch.no_grad():
+        features = taught.features(as_input(batch.pixels))
     targets = batch.targets[batch.targets[:, 0] < 2]
-    optimizer = torch.optim.AdamW(network.parameters(), lr=3e-3)
+    optimizer = torch.optim.AdamW([*network.parameters(), *branch.parameters()], lr=3e-3)
     losses = []
     for _ in range(12):
-        loss = detection_loss(network.heads(pixels), targets, ARCHITECTURE)
+        of_boxes = detection_loss(network.heads(as_input(batch.pixels[:2])), targets, ARCHITECTURE)
+        coefficients, prototypes = branch(features)
+        of_masks = mask_loss(coefficients, prototypes, batch.targets, batch.masks, SEGMENTING)
         optimizer.zero_grad()
-        loss.backward()
+        (of_boxes + of_masks).backward()
         optimizer.step()
-        losses.append(loss.item())
-    assert len(targets) > 0
-    assert losses[-1] < 0.8 * losses[0]
+        losses.append((of_boxes.item(), of_masks.item()))
+    assert losses[-1][0] < 0.8 * losses[0][0]
+    assert losses[-1][1] < 0.5 * losses[0][1]
 
 
-def test_iou_is_that_of_hand_computed_boxes() -> None:
-    boxes = np.array([[0, 0, 2, 2]], np.float32)
-    others = np.array([[0, 0, 2, 2], [1, 0, 3, 2], [5, 5, 6, 6]], np.float32)
-    np.testing.assert_allclose(iou(boxes, others), [[1, 1 / 3, 0]], rtol=1e-6)
+def test_the_model_that_segments_computes_what_both_parts_do(model: Model) -> None:
+    torch.manual_seed(0)
+    network = model.network().eval()
+    branch = MaskBranch(SEGMENTING, network.head).eval()
+    branch.load_state_dict({key: _in_fp16(tensor) for key, tensor in branch.state_dict().items()})
+    segmenter = joined(model, SEGMENTING, branch).network().eval()
+    pixels = as_input(Batches(4, 9)[1].pixels[:2])
+    with torch.no_grad():
+        coefficients, prototypes = branch(network.features(pixels))
+        features = segmenter.features(pixels)
+        together, detecting = segmenter.head(features), network.heads(pixels)
+        torch.testing.assert_close(segmenter.head.get_submodule("proto")(features[0]), prototypes)
+    for level, detected, found in zip(together, detecting, coefficients, strict=True):
+        torch.testing.assert_close(level, torch.cat((detected, found), dim=-1))
 
 
-BOX, SHIFTED_BOX, FAR_BOX = (0, 0, 10, 10), (1, 0, 11, 10), (50, 50, 60, 60)
+def _in_fp16(tensor: Tensor) -> Tensor:
+    return tensor.half().float() if tensor.is_floating_point() else tensor
 
 
 @pytest.mark.parametrize(
@@ -167,3 +237,35 @@ def test_detections_are_counted_against_the_truth(
     assert (len(result.scores), result.wrong, result.missed) == (right, wrong, missed)
     assert result.precision == (right / (right + wrong) if right + wrong else 1)
     assert result.recall == (right / (right + missed) if right + missed else 1)
+
+
+def _found(mask: NDArray[np.bool_], box_xyxy: tuple[float, ...]) -> Detections:
+    """One detection, with `mask` as its only prototype."""
+    prototypes = np.where(mask, np.float32(9), np.float32(-9))[None]
+    return Detections(
+        np.array([box_xyxy], np.float32),
+        np.array([0.9], np.float32),
+        np.array([0], np.int64),
+        masks=Masks(prototypes, np.ones((1, 1), np.float32), mask.shape),
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "iou"),
+    [
+        pytest.param(slice(10, 20), 1.0, id="all of it"),
+        pytest.param(slice(10, 15), 0.5, id="its left half"),
+        pytest.param(slice(5, 20), 1.0, id="more than it, outside the box"),
+        pytest.param(slice(20, 30), 0.0, id="beside it"),
+    ],
+)
+def test_masks_are_compared_with_the_pixels_of_their_shapes(columns: slice, iou: float) -> None:
+    mask = np.zeros((40, 40), np.bool_)
+    mask[10:30, columns] = True
+    labels = np.zeros((40, 40), np.uint16)
+    labels[10:30, 10:20] = 2
+    labels[0:5, 0:5] = 1
+    box = (10.0, 10.0, 20.0, 30.0)
+    truth = Truth(np.array([(0, 0, 5, 5), box], np.float32), np.array([0, 0], np.int64))
+    image = LabelledImage(np.zeros((40, 40, 3), np.uint8), truth, labels)
+    assert tally([(_found(mask, box), image)]).mask_ious.tolist() == [pytest.approx(iou)]

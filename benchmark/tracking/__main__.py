@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from benchmark.report import Goal, goal_table, table
+from benchmark.report import Goal, options_of, publish
 from benchmark.tracking.cases import Case, counts_of, oracle_ids, own_ids, rendered_cases, simulated_cases
 from benchmark.tracking.figures import TrackCounts
 from benchmark.tracking.scenes import STILL_SCENES
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = time_rows()
     goals.append(Goal("50 objects [ms]", 0, rows[0].median, True, 1.0))
     goals += [Goal(f"camera motion, {each.name} [ms]", 0, each.median, True, 1.5) for each in rows[3:]]
-    print(f"{table(rows)}\n\n{goal_table(goals)}")
+    publish("tracking", options, rows, goals)
     return int(not all(goal.is_reached for goal in goals))
 
 
@@ -100,17 +100,10 @@ def identity_goals(
 
 def parser() -> argparse.ArgumentParser:
     """The argument parser."""
-    parser = argparse.ArgumentParser(prog="benchmark.tracking", description=__doc__)
-    parser.add_argument(
-        "--seeds", type=int, default=5, metavar="N", help="scenes of each kind; default: %(default)s"
-    )
-    parser.add_argument(
-        "--first-seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help=f"of the scenes; the constants were chosen with {TUNING_SEED} and later; default: %(default)s",
-    )
+    parser = options_of("tracking", __doc__)
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="scenes of each kind")
+    chosen = f"of the scenes; the constants were chosen with {TUNING_SEED} and later"
+    parser.add_argument("--first-seed", type=int, default=0, metavar="N", help=chosen)
     parser.add_argument("--rendered", type=int, default=0, metavar="N", help="the same, in drawn images")
     parser.add_argument("--oracle", type=Path, metavar="PYTHON", help="interpreter that has `trackers`")
     return parser

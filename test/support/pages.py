@@ -6,15 +6,10 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 from support.colcon_workspace import REPOSITORY
 from yolov5_lifecycle.ros.topics import published, subscribed
 
 README = REPOSITORY / "README.md"
-REFERENCE = REPOSITORY / "docs" / "reference.md"
-IMAGES = REPOSITORY / "docs" / "images.md"
-LAUNCH = REPOSITORY / "docs" / "launch.md"
 TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
 MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
@@ -27,7 +22,6 @@ PAGES = [
 ]
 CAMERAS = ("front", "rear")
 """The cameras of the examples."""
-every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
 def blocks(page: Path, language: str) -> list[str]:

@@ -18,6 +18,7 @@ from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth
+from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 UNSEEN_SEED = 999_331
 """Training seeds its generators with pairs of integers, so no single integer repeats a training image."""
@@ -77,7 +78,7 @@ def tally(answers: Iterable[tuple[Detections, LabelledImage]]) -> Tally:
 def matched(detections: Detections, truth: Truth) -> list[tuple[int, int]]:
     """Rows of `detections`, best first, with the shape of the truth that no better one matches."""
     pairs = []
-    unfound = iou(detections.boxes_xyxy, truth.boxes_xyxy)
+    unfound = iou_matrix(detections.boxes_xyxy, truth.boxes_xyxy)
     unfound[detections.class_ids[:, None] != truth.class_ids] = 0
     for row in range(len(unfound)):
         if unfound.shape[1] and unfound[row].max() >= _SMALLEST_IOU:
@@ -100,17 +101,6 @@ def mask_ious(
         shared = (mask & is_shape[window.rows, window.columns]).sum()
         ious.append(float(shared / (mask.sum() + is_shape.sum() - shared)))
     return ious
-
-
-def iou(boxes_xyxy: NDArray[np.float32], others_xyxy: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Intersection over union (n, m) of boxes (n, 4) with others (m, 4)."""
-    upper = np.minimum(boxes_xyxy[:, None, 2:], others_xyxy[None, :, 2:])
-    lower = np.maximum(boxes_xyxy[:, None, :2], others_xyxy[None, :, :2])
-    shared = np.clip(upper - lower, 0, None).prod(axis=2)
-    areas = (boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).prod(axis=1)
-    other_areas = (others_xyxy[:, 2:] - others_xyxy[:, :2]).prod(axis=1)
-    overlap: NDArray[np.float32] = shared / (areas[:, None] + other_areas - shared)
-    return overlap
 
 
 def evaluate(detector: Detector, images: Iterable[LabelledImage]) -> Tally:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rclpy.lifecycle import LifecyclePublisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 from support.camera_client import CameraClient, DepthClient
@@ -21,11 +22,16 @@ from support.segmented_scene import SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of
 from vision_msgs.msg import Detection2DArray
 
-from soak import slow_detector
+from yolov5_lifecycle.detection import detector
 from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.ros import messages
+from yolov5_lifecycle.ros.detector import outputs, pipeline
+from yolov5_lifecycle.ros.detector.depth import DepthInput
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
 from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 
 REST_S = 1.0
 """How long these nodes wait for a frame."""
@@ -67,7 +73,18 @@ def hang() -> Iterator[Hang]:
     hang.end()
 
 
-STEPS: dict[str, tuple[Any, str]] = {**slow_detector.STEPS, "inference": (ScriptedRuntime, "__call__")}
+STEPS: dict[str, tuple[Any, str]] = {
+    "decoding": (messages, "image_of_message"),
+    "inference": (ScriptedRuntime, "__call__"),
+    "NMS": (detector, "select"),
+    "tracking": (ByteTracker, "update"),
+    "placing": (DepthInput, "place"),
+    "masks": (Masks, "label_image"),
+    "drawing": (pipeline, "annotate"),
+    "compressing": (outputs, "compressed_image_message"),
+    "publishing": (LifecyclePublisher, "publish"),
+}
+"""Where each step of a frame is: the owner of a function, and its name."""
 QUICK = ("drawing", "publishing")
 """These run in every test run, the others are long."""
 EVERY_STEP = [pytest.param(step, marks=() if step in QUICK else pytest.mark.long) for step in STEPS]

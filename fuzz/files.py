@@ -1,0 +1,174 @@
+"""Fuzz targets: labels, calibrations, settings, data sets, cameras and drives are read or refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin
+from support.colcon_workspace import REPOSITORY
+from support.recorded_scene import record, text
+
+from fuzz.inputs import folder, taken, written
+from yolov5_lifecycle.evaluation.coco_file import read_coco_file
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, Boxes, DataError, Problems
+from yolov5_lifecycle.evaluation.yolo_folder import read_description, read_yolo_folder
+from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
+from yolov5_lifecycle.offline.recording import RecordingError, open_recording
+from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.quantization.calibration_file import (
+    read_calibration,
+    write_calibration,
+)
+from yolov5_lifecycle.runtimes.quantization import QuantizationError
+from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
+from yolov5_lifecycle.settings.value_rules import MAX_CLASS_NAME
+from yolov5_lifecycle.sources.camera_info import read_camera_info
+
+_SIZE_HW = (100, 200)
+_CLASSES = 3
+_CALIBRATION = REPOSITORY / "weights" / "shapes.calibration.json"
+_KEPT_LAYERS = 2
+_MESSAGES = 100
+_CAMERA_INFO = """\
+image_width: 640
+image_height: 480
+camera_name: front
+camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0, 0, 0]}
+rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
+projection_matrix: {rows: 3, cols: 4, data: [500, 0, 320, 0, 0, 500, 240, 0, 0, 0, 1, 0]}
+"""
+
+
+def check_labels(data: bytes) -> None:
+    """Expect boxes in the image, or a one-line error."""
+    if labels := taken(partial(parsed_labels, data.decode(errors="replace"), _CLASSES), DataError):
+        _check_boxes(labels.in_pixels(_SIZE_HW), _CLASSES)
+
+
+def check_coco_file(data: bytes) -> None:
+    """Expect boxes of the file's own classes, or a one-line error."""
+    written("1.jpg", b"")
+    path = written("truth.json", data)
+    found = taken(partial(read_coco_file, path, Problems(_check_line), root=path.parent), DataError)
+    if found is not None:
+        assert found.class_names is not None
+        for image in found.images:
+            _check_boxes(image.labels.boxes, len(found.class_names))
+
+
+def check_calibration(data: bytes) -> None:
+    """Expect a calibration with ordered ranges, or a one-line error."""
+    path = written("best.calibration.json", data)
+    if calibration := taken(partial(read_calibration, path), QuantizationError):
+        assert all(low <= 0 <= high and low < high for low, high in calibration.ranges.values())
+
+
+def check_parameter_file(data: bytes) -> None:
+    """Expect parameters by node, or a one-line error."""
+    nodes = taken(partial(read_parameter_file, written("parameters.yaml", data)), ParameterFileError)
+    assert all(pattern.startswith("/") for pattern in nodes or ())
+
+
+def check_description(data: bytes) -> None:
+    """Expect class names and folders, or a one-line error."""
+    if description := taken(partial(read_description, written("data.yaml", data)), DataError):
+        names = description.class_names or ()
+        assert len(names) <= MAX_CLASSES
+        assert all(in_one_line(name) == name and 0 < len(name) <= MAX_CLASS_NAME for name in names)
+
+
+def check_image_list(data: bytes) -> None:
+    """Expect images within the folder of the list, each once, or an error and one-line problems."""
+    parent = written("list/val.txt", data).parent
+    (parent / "data.yaml").write_text("val: [val.txt, val.txt]\n")
+    (parent / "1.txt").write_text("0 0.5 0.5 0.2 0.2\n")
+    found = taken(partial(read_yolo_folder, parent, Problems(_check_line)), DataError)
+    paths = [image.path for image in found.images] if found else []
+    assert len(set(paths)) == len(paths)
+    assert all(path.is_relative_to(parent) for path in paths)
+
+
+def check_camera_info(data: bytes) -> None:
+    """Expect the values of camera_info, or a one-line error."""
+    known = taken(partial(read_camera_info, f"file://{written('camera.yaml', data)}"), ValueError)
+    assert known is None or len(known.projection_matrix.data) == 12
+
+
+def check_recording(data: bytes) -> None:
+    """Expect messages, or an error."""
+    taken(partial(_read_recording, written("drive.mcap", data)), RecordingError)
+
+
+def label_seeds() -> Iterator[bytes]:
+    yield b"0 0.5 0.5 0.2 0.2\n2 .1 .1 1e-1 0.2\n"
+    yield b"1 0.1 0.1 0.9 0.1 0.5 0.9\n"
+
+
+def coco_seeds() -> Iterator[bytes]:
+    yield json.dumps(
+        {
+            "images": [{"id": 1, "file_name": "1.jpg", "height": 100, "width": 200}],
+            "annotations": [{"image_id": 1, "category_id": 7, "bbox": [1, 2, 30, 40], "iscrowd": 0}],
+            "categories": [{"id": 7, "name": "cat"}],
+        }
+    ).encode()
+
+
+def calibration_seeds() -> Iterator[bytes]:
+    """The calibration of the shapes model, with few of its layers."""
+    whole = read_calibration(_CALIBRATION)
+    few = {name: dict(list(getattr(whole, name).items())[:_KEPT_LAYERS]) for name in ("ranges", "means")}
+    path = folder() / "seed.calibration.json"
+    write_calibration(path, whole.model_copy(update=few))
+    yield path.read_bytes()
+
+
+def parameter_file_seeds() -> Iterator[bytes]:
+    yield (REPOSITORY / "config" / "two_cameras.yaml").read_bytes()
+    yield b"/**:\n  ros__parameters:\n    classes: [cat, 'dog']\n    front.max_rate: 0x1p3\n"
+
+
+def description_seeds() -> Iterator[bytes]:
+    yield b"path: .\nval: [images/val, more.txt]\nnames: {0: cat, 1: dog}\n"
+    yield b"train: a\nnames: [cat]\n"
+    yield b"val: a\nnames: {0: no, 2: 0x1f, 3: '1', 4: 1:30, 5: ~, 6: .5}\n"
+
+
+def image_list_seeds() -> Iterator[bytes]:
+    yield b"1.jpg\r\n./1.jpg\n1.jpg\n../1.jpg\n/1.jpg\n"
+
+
+def camera_info_seeds() -> Iterator[bytes]:
+    yield _CAMERA_INFO.encode()
+
+
+def recording_seeds() -> Iterator[bytes]:
+    """A recording with a text, which is small."""
+    path = folder() / "seed"
+    shutil.rmtree(path, ignore_errors=True)
+    yield (record(path, [text()], storage=StoragePlugin.MCAP) / "seed.mcap").read_bytes()
+
+
+def _read_recording(path: Path) -> None:
+    with open_recording(path) as recording:
+        for topic in recording.topics("std_msgs/msg/String", "sensor_msgs/msg/Image"):
+            for message in islice(recording.messages(topic), _MESSAGES):
+                assert isinstance(message.data, bytes)
+
+
+def _check_boxes(boxes: Boxes, classes: int) -> None:
+    assert np.isfinite(boxes.xyxy).all()
+    assert (boxes.xyxy[:, :2] < boxes.xyxy[:, 2:]).all()
+    assert all(0 <= class_id < classes for class_id in boxes.class_ids.tolist())
+
+
+def _check_line(told: str) -> None:
+    assert told.isprintable()

@@ -1,1 +1,0 @@
-"""What a release consists of: source archive, wheel, wheels of the messages, and what must hold for them."""
