@@ -52,6 +52,7 @@ class Clock:
         pytest.param(LOOPBACK, HERE, "127.0.0.1:8080@example.com", "", id="user"),
         pytest.param(LOOPBACK, HERE, "[::1:8080", "", id="open bracket"),
         pytest.param(LOOPBACK, HERE, "localhost:99999999999", "", id="long port"),
+        pytest.param(LOOPBACK, HERE, "user@localhost:8080", "", id="user"),
         pytest.param(NETWORK, THERE, "192.0.2.7:8080", "http", id="own address"),
         pytest.param(NETWORK, ("::ffff:192.0.2.7", 8080), "192.0.2.7:8080", "http", id="mapped address"),
         pytest.param(NETWORK, THERE, "192.0.2.8:8080", "", id="another address"),
