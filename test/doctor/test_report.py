@@ -184,7 +184,7 @@ def test_the_end_of_the_doctor_ends_its_checks(tmp_path: Path) -> None:
         ("/Users/eve/y", "/Users/(user)/y"),
         ("/data/ada/models", "/data/(user)/models"),
         ("ada@walle.lab.example: no route to walle", "(user)@(host): no route to (host)"),
-        ("adaptive walleye", "adaptive walleye"),
+        ("adaptive walleye in canada", "adaptive walleye in canada"),
         ("aa:bb:cc:dd:ee:ff at 192.168.1.20", "(address) at (address)"),
         ("10.0.0.7 and 172.20.1.2 and 127.0.0.1", "(address) and (address) and (address)"),
         ("OpenCV 4.10.0.84, driver 550.54.15", "OpenCV 4.10.0.84, driver 550.54.15"),

@@ -32,13 +32,15 @@ class FakeCapture:
         self._left = count or 0
         self._length = length
         self._is_opened = count is not None
-        self.is_released = False
+        self.is_released = self.is_damaged = False
 
     def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
         return self._is_opened
 
     def read(self) -> tuple[bool, Any]:
         if self._left == 0:
+            if self.is_damaged:
+                cv2.resize(np.empty((0, 0)), (1, 1))  # raises
             return False, None
         self._left -= 1
         return True, np.full((2, 3, 3), next(self._numbers), np.uint8)
@@ -83,6 +85,13 @@ def test_a_stream_that_breaks_off_is_connected_again() -> None:
         "'rtsp://***@camera/stream' delivers no more images. Reconnecting in 1 s.",
         "'rtsp://***@camera/stream' is connected again.",
     ]
+    assert camera.captures[0].is_released
+
+
+def test_a_stream_is_connected_again_after_an_image_that_cannot_be_decoded() -> None:
+    camera = Camera([2, 3])
+    camera.captures[0].is_damaged = True
+    assert camera.numbers(5) == [0, 1, 2, 3, 4]
     assert camera.captures[0].is_released
 
 

@@ -52,7 +52,8 @@ class Clock:
         pytest.param(LOOPBACK, HERE, "127.0.0.1:8080@example.com", "", id="user"),
         pytest.param(LOOPBACK, HERE, "[::1:8080", "", id="open bracket"),
         pytest.param(LOOPBACK, HERE, "localhost:99999999999", "", id="long port"),
-        pytest.param(LOOPBACK, HERE, "user@localhost:8080", "", id="user"),
+        pytest.param(LOOPBACK, HERE, "localhost:8080/x", "", id="path"),
+        pytest.param(LOOPBACK, HERE, "user@localhost:8080", "", id="user of this machine"),
         pytest.param(NETWORK, THERE, "192.0.2.7:8080", "http", id="own address"),
         pytest.param(NETWORK, ("::ffff:192.0.2.7", 8080), "192.0.2.7:8080", "http", id="mapped address"),
         pytest.param(NETWORK, THERE, "192.0.2.8:8080", "", id="another address"),
@@ -158,7 +159,7 @@ def test_consoles_that_start_together_share_one_token(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "mode", "words"),
     [
-        pytest.param(TOKEN, 0o644, "others may have read", id="readable by others"),
+        pytest.param(TOKEN, 0o604, "others may have read", id="readable by others"),
         pytest.param(TOKEN, 0o620, "others may have read", id="writable by the group"),
         pytest.param("short", 0o600, "at least 32", id="short"),
         pytest.param("", 0o600, "at least 32", id="empty"),

@@ -168,6 +168,13 @@ def test_a_socket_of_a_rebound_name_is_refused(local: ConsoleClient) -> None:
         assert b" 403 " in connection.recv(4096).partition(b"\r\n")[0]
 
 
+def test_a_socket_of_two_origins_is_refused(local: ConsoleClient) -> None:
+    upgrade = UPGRADE.format(host=f"127.0.0.1:{place_of(local)[1]}")
+    with connected(local) as connection:
+        connection.sendall(upgrade.replace("Connection:", f"Origin: {FOREIGN}\r\nConnection:").encode())
+        assert b" 403 " in connection.recv(4096).partition(b"\r\n")[0]
+
+
 @pytest.mark.parametrize("cookie", ["", "{name}=", "{name}=" + TOKEN], ids=["none", "empty", "token"])
 def test_without_a_session_nothing_is_shown(guarded: ConsoleClient, cookie: str) -> None:
     headers = {"Cookie": cookie.format(name=guarded.cookie_name)}
