@@ -168,10 +168,11 @@ def test_a_socket_of_a_rebound_name_is_refused(local: ConsoleClient) -> None:
         assert b" 403 " in connection.recv(4096).partition(b"\r\n")[0]
 
 
-def test_a_socket_of_two_origins_is_refused(local: ConsoleClient) -> None:
-    upgrade = UPGRADE.format(host=f"127.0.0.1:{place_of(local)[1]}")
+def test_a_request_of_two_origins_is_refused(local: ConsoleClient) -> None:
+    own = f"127.0.0.1:{place_of(local)[1]}"
+    request = f"GET / HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nOrigin: {FOREIGN}\r\n\r\n"
     with connected(local) as connection:
-        connection.sendall(upgrade.replace("Connection:", f"Origin: {FOREIGN}\r\nConnection:").encode())
+        connection.sendall(request.encode())
         assert b" 403 " in connection.recv(4096).partition(b"\r\n")[0]
 
 
