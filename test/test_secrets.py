@@ -108,20 +108,11 @@ class Refused:
         pass
 
 
-@pytest.mark.parametrize(
-    ("source", "is_hinted"),
-    [
-        ("rtsp://a:1/2@h/x", True),
-        ("rtsp://a:1#2@h/x", True),
-        ("rtsp://a:b c@h/x", True),
-        ("rtsp://a:b@h/x", False),
-    ],
-)
-def test_a_password_that_is_not_encoded_gets_a_hint(source: str, is_hinted: bool) -> None:
+@pytest.mark.parametrize("source", ["rtsp://a:1/2@h/x", "rtsp://a:1#2@h/x", "rtsp://a:b c@h/x"])
+def test_a_password_that_is_not_encoded_gets_a_hint(source: str) -> None:
     connect: Any = lambda _: Refused()  # noqa: E731
-    with pytest.raises(SourceError) as error:
+    with pytest.raises(SourceError, match="Percent-encode") as error:
         open_stream(source, reconnects=False, report=print, connect=connect)
-    assert ("Percent-encode" in str(error.value)) is is_hinted
     assert "2@" not in in_lines(str(error.value))
 
 

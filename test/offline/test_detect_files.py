@@ -142,7 +142,12 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
         ),
         pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4 or .avi", id="video suffix"),
         # OpenCV crashes on these names.
-        pytest.param("bad\udcff/0.avi", [], "bad?/0.avi: the path of a video must be UTF-8", id="video path"),
+        pytest.param(
+            "bad\udcff/0.avi",
+            [],
+            "bad?/0.avi: the path or address of a source must be UTF-8",
+            id="video path",
+        ),
         pytest.param(
             "drive.avi",
             ["--annotated", "\udcff.avi"],

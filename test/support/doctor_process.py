@@ -13,11 +13,9 @@ from support.colcon_workspace import REPOSITORY
 from yolov5_lifecycle.doctor.finding import Finding
 
 _PROGRAM = """
-import resource, sys
+import sys
 from pathlib import Path
-root, limits, *words = sys.argv[1:]
-for name, value in eval(limits).items():
-    resource.setrlimit(getattr(resource, name), (value, value))
+root, *words = sys.argv[1:]
 from yolov5_lifecycle.doctor.command import main
 from yolov5_lifecycle.process.termination import on_termination
 on_termination(lambda number: sys.exit(128 + number))
@@ -25,17 +23,15 @@ sys.exit(main(words, root=Path(root)))
 """
 
 
-def command(
-    *words: str, root: Path = Path("/"), limits: Mapping[str, int] = {}, python: Path | str = sys.executable
-) -> list[str]:
+def command(*words: str, root: Path = Path("/"), python: Path | str = sys.executable) -> list[str]:
     """The command line of `doctor` with the arguments `words`; other arguments as below."""
-    return [str(python), "-c", _PROGRAM, str(root), repr(dict(limits)), *words]
+    return [str(python), "-c", _PROGRAM, str(root), *words]
 
 
 def doctor(*words: str, environment: Mapping[str, str] = {}, **machine: object) -> list[Finding]:
     """The report with the arguments `words`; the exit code is that of a report with or without errors.
 
-    `machine`: the `limits` by name, such as RLIMIT_NOFILE, the `root`, see `main`, and the `python`.
+    `machine`: the `root`, see `main`, and the `python`.
     """
     run = subprocess.run(
         command("--json", *words, **machine),  # type: ignore[arg-type]

@@ -18,38 +18,28 @@ from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok,
 from yolov5_lifecycle.doctor.system import KERNEL_MODULE
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.cache import installed_build
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
-from yolov5_lifecycle.runtimes.quantization import QuantizationError
-from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, REQUIREMENTS
+from yolov5_lifecycle.runtimes.registry import REQUIREMENTS
 from yolov5_lifecycle.runtimes.torch_device import devices_present
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 
 _WEIGHTS = "package://yolov5_lifecycle/weights/shapes.safetensors"
-_IMAGE, _TRUTH = Scene(8, (480, 640)).frame(0)
+_IMAGE, _SHAPES = Scene(8, (480, 640)).frame(0)
 """RGB pixels (480, 640, 3) of six shapes."""
-_IMAGE_SIZE = 640  # that of the calibration for int8
+_TRUTH = Detections(_SHAPES.boxes_xyxy, np.ones(len(_SHAPES.class_ids), np.float32), _SHAPES.class_ids)
 _RUNS = 5
-_WRONG = "Install torch again; if the difference stays, set device to another one and report this line."
-
 
 EXACT = (1.0, 0.01)
 """How much the same detection may differ: in pixels of a corner, and in the score."""
 COARSE = (6.0, 0.15)
-"""For precisions below fp32, and for the ground truth."""
+"""For fp16, and for the ground truth."""
 
 
-def ground_truth() -> Detections:
-    return Detections(_TRUTH.boxes_xyxy, np.ones(len(_TRUTH.class_ids), np.float32), _TRUTH.class_ids)
-
-
-def detected(*, runtime: str, device: str = "cpu", precision: str = "fp32") -> tuple[Detections, float]:
+def _detected(*, runtime: str, device: str = "cpu", precision: str = "fp32") -> tuple[Detections, float]:
     """What the network finds in the image, and the median milliseconds of a detection.
 
     Raises what `load_model` and `Detector` raise.
     """
-    detector = load_model(
-        _WEIGHTS, runtime=runtime, device=device, precision=precision, image_size=_IMAGE_SIZE
-    )
+    detector = load_model(_WEIGHTS, runtime=runtime, device=device, precision=precision)
     with closing(detector.runtime):
         times_s = timeit.repeat(lambda: detector(_IMAGE, order="rgb"), number=1, repeat=_RUNS)
         return detector(_IMAGE, order="rgb"), 1e3 * statistics.median(times_s)
@@ -97,22 +87,23 @@ def _build(machine: Machine) -> Iterator[Finding]:
 
 
 def _forward(_: Machine) -> Iterator[Finding]:
-    expected, median_ms = detected(runtime="torch")
-    problem = difference(ground_truth(), expected, COARSE)
-    told = f"all {len(expected)} shapes found, {median_ms:.1f} ms an image"
-    yield _compared("cpu fp32", "the ground truth", problem, told)
+    expected, median_ms = _detected(runtime="torch")
+    problem = difference(_TRUTH, expected, COARSE)
+    yield _compared("cpu fp32", "the ground truth", problem, f"all {len(expected)} shapes found", median_ms)
     for device in devices_present()[1:]:
         for precision, tolerance in (("fp32", EXACT), ("fp16", COARSE)):
-            found, median_ms = detected(runtime="torch", device=device, precision=precision)
+            found, median_ms = _detected(runtime="torch", device=device, precision=precision)
             problem = difference(expected, found, tolerance)
-            told = f"same detections as the CPU, {median_ms:.1f} ms an image"
-            yield _compared(f"{device} {precision}", "the CPU", problem, told)
+            yield _compared(
+                f"{device} {precision}", "the CPU", problem, "same detections as the CPU", median_ms
+            )
 
 
-def _compared(name: str, other: str, problem: str, told: str) -> Finding:
-    if problem:
-        return error(f"{name} differs from {other}: {problem}", remedy=_WRONG)
-    return ok(f"{name}: {told}")
+def _compared(name: str, other: str, problem: str, told: str, median_ms: float) -> Finding:
+    if not problem:
+        return ok(f"{name}: {told}, {median_ms:.1f} ms an image")
+    remedy = "Install torch again; if the difference stays, set device to another one and report this line."
+    return error(f"{name} differs from {other}: {problem}", remedy=remedy)
 
 
 def _runtime(machine: Machine) -> Iterator[Finding]:
@@ -120,45 +111,16 @@ def _runtime(machine: Machine) -> Iterator[Finding]:
     if missing := [package for package in packages if installed_build(package) is None]:
         yield ok(f"not installed ({', '.join(missing)}); the node uses another runtime")
         return
-    install = f"Install it again with pip install --force-reinstall {' '.join(packages)}"
-    try:
-        found, median_ms = detected(runtime=machine.target)
-    except Exception as refusal:  # noqa: BLE001 - a broken package raises anything
-        cause = refusal.__cause__ or refusal  # what the package raised; the refusal repeats the remedy
-        yield error(
-            in_one_line(f"{type(cause).__name__}: {cause}", 400),
-            remedy=f"{install}; until then `auto` leaves it out.",
-        )
-        return
-    expected, expected_ms = detected(runtime="torch")
+    found, median_ms = _detected(runtime=machine.target)
+    expected, expected_ms = _detected(runtime="torch")
     if problem := difference(expected, found, EXACT):
-        remedy = f"{install}, or set runtime to torch, because `auto` may choose this one."
-        yield error(f"differs from torch: {problem}", remedy=remedy)
+        yield error(
+            f"differs from torch: {problem}",
+            remedy=f"Install it again with pip install --force-reinstall {' '.join(packages)}, or set "
+            "runtime to torch, because `auto` may choose this one.",
+        )
     else:
         yield ok(f"same detections as torch, {median_ms:.1f} ms an image (torch {expected_ms:.1f})")
 
 
-def _precisions(machine: Machine) -> Iterator[Finding]:
-    if machine.target != COARSE_RUNTIME or installed_build(COARSE_RUNTIME) is None:
-        return
-    expected, fp32_ms = detected(runtime=COARSE_RUNTIME)
-    yield _precision("int8", expected, fp32_ms)
-    if has_bf16(abilities()):
-        yield _precision("bf16", expected, fp32_ms)
-
-
-def _precision(precision: str, expected: Detections, fp32_ms: float) -> Finding:
-    remedy = f"Keep precision at auto or fp32, because {precision} is not usable here; docs/int8.md has more."
-    try:
-        found, median_ms = detected(runtime=COARSE_RUNTIME, precision=precision)
-    except QuantizationError as refusal:
-        return warning(f"{precision}: {refusal}", remedy=remedy)
-    if problem := difference(expected, found, COARSE):
-        return warning(f"{precision} differs from fp32: {problem}", remedy=remedy)
-    return ok(f"{precision}: same detections as fp32, {median_ms:.1f} ms an image (fp32 {fp32_ms:.1f} ms)")
-
-
-CHECKS: Groups = {
-    "devices": {"torch": _build, "forward": _forward},
-    "runtime": {"runtime": _runtime, "precisions": _precisions},
-}
+CHECKS: Groups = {"devices": {"torch": _build, "forward": _forward}, "runtime": {"runtime": _runtime}}

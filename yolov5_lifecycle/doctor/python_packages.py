@@ -8,12 +8,13 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.machinery import PathFinder
-from importlib.metadata import PackageNotFoundError, distributions, requires, version
+from importlib.metadata import distributions, requires, version
+from importlib.util import find_spec
 from pathlib import Path
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
-from yolov5_lifecycle.printable import in_one_line, shell_command
-from yolov5_lifecycle.process.missing_package import PIP_PACKAGES, remedy_for
+from yolov5_lifecycle.printable import shell_command
+from yolov5_lifecycle.process.missing_package import PIP_PACKAGES
 
 _MODULES = {package: module for module, package in PIP_PACKAGES.items()}
 _IMPORTED = ("annotated_types", "cv2", "numpy", "pydantic", "pydantic_core", "safetensors", "yaml")
@@ -25,21 +26,14 @@ _OPENCV = re.compile(r"opencv[-_](?:contrib[-_])?python(?:[-_]headless)?")
 
 
 def _required(_: Machine) -> Iterator[Finding]:
-    try:
-        present = [f"yolov5_lifecycle {version('yolov5_lifecycle')}"]
-    except PackageNotFoundError:
-        yield error(
-            "yolov5_lifecycle is not installed",
-            remedy="Install it with `make install`, or source install/setup.bash of your workspace.",
-        )
-        return
+    """Raises what the import of a missing or broken package raises."""
+    present = [f"yolov5_lifecycle {version('yolov5_lifecycle')}"]
     for package, oldest, is_optional in dict.fromkeys(_requirements()):
-        try:
-            found = _version(_MODULES.get(package, package), package)
-        except ImportError as problem:
-            if not is_optional:
-                yield error(in_one_line(str(problem), 400), remedy=remedy_for(problem))
+        module = _MODULES.get(package, package)
+        if is_optional and find_spec(module) is None:
             continue
+        loaded = import_module(module) if module in _IMPORTED else None
+        found = getattr(loaded, "__version__", None) or version(package)
         present.append(f"{package} {found}")
         if _numbers(found) < _numbers(oldest):
             yield error(
@@ -57,19 +51,6 @@ def _requirements() -> Iterator[tuple[str, str, bool]]:
         yield parts[1], parts[2] or "0", "extra ==" in line and "opencv" not in line
 
 
-def _version(module: str, package: str) -> str:
-    """The version of what `import module` loads. Raises ImportError, also for a package that is broken."""
-    try:
-        loaded = import_module(module) if module in _IMPORTED else None
-        return getattr(loaded, "__version__", None) or version(package)
-    except PackageNotFoundError as problem:
-        raise ModuleNotFoundError(f"No module named '{module}'", name=module) from problem
-    except ImportError:
-        raise
-    except (Exception, SystemExit) as problem:
-        raise ImportError(f"import {module}: {type(problem).__name__}: {problem}", name=module) from problem
-
-
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", text.partition("+")[0])[:3])
 
@@ -77,8 +58,14 @@ def _numbers(text: str) -> tuple[int, ...]:
 def _duplicates(_: Machine) -> Iterator[Finding]:
     doubled = {module: places for module in _ONCE if len(places := _copies(module)) > 1}
     for module, (used, *hidden) in doubled.items():
+        opencvs = _opencvs_in(used) if module == "cv2" else []
+        package = next(iter(opencvs), PIP_PACKAGES.get(module, module))
+        uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", package)
+        is_given = used in os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        what_to_do = f"Remove {used} from PYTHONPATH" if is_given else f"Uninstall one, such as `{uninstall}`"
         yield warning(
-            f"{module} is loaded from {used} and hides {', '.join(hidden)}", remedy=_remedy(module, used)
+            f"{module} is loaded from {used} and hides {', '.join(hidden)}",
+            remedy=f"{what_to_do}, because compiled packages fit only one of the two.",
         )
     if not doubled:
         yield ok("no package is there twice")
@@ -94,18 +81,9 @@ def _copies(module: str) -> list[str]:
     return list(dict.fromkeys(places.values()))
 
 
-def _remedy(module: str, used: str) -> str:
-    if used in os.environ.get("PYTHONPATH", "").split(os.pathsep):
-        return f"Remove {used} from PYTHONPATH, because compiled packages fit only one of the two."
-    installed = _opencv_in(used) if module == "cv2" else []
-    package = next(iter(installed), PIP_PACKAGES.get(module, module))
-    uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", package)
-    return f"Uninstall one of them, such as `{uninstall}`, because compiled packages fit only one of the two."
-
-
 def _opencv(_: Machine) -> Iterator[Finding]:
     for entry in dict.fromkeys(filter(None, sys.path)):
-        if len(names := _opencv_in(entry)) > 1:
+        if len(names := _opencvs_in(entry)) > 1:
             uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", *names)
             yield warning(
                 f"{' and '.join(names)} are in the same folder cv2 of {entry}",
@@ -113,7 +91,7 @@ def _opencv(_: Machine) -> Iterator[Finding]:
             )
 
 
-def _opencv_in(folder: str) -> list[str]:
+def _opencvs_in(folder: str) -> list[str]:
     """The packages of pip with OpenCV in `folder`."""
     named = {each.metadata["Name"] for each in distributions(path=[folder])}
     return sorted(name for name in named if name and _OPENCV.fullmatch(name))

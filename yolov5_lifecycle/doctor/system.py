@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 import os
 import platform
 import re
-import resource
 import shutil
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.process.control_group import cores, memory_bytes
-from yolov5_lifecycle.process.environment import compute_threads, thread_problem
+from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.process.memory import available_bytes
 from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, write_cache
 from yolov5_lifecycle.runtimes.processor_abilities import abilities
@@ -22,10 +21,7 @@ from yolov5_lifecycle.runtimes.processor_abilities import abilities
 _GIB = 1 << 30
 OLDEST_PYTHON, NEWEST_PYTHON = (3, 10), (3, 13)
 """What has been tried; setup.py and requirements/check_machine.py have the same, as a test compares."""
-_NEEDED_FILES, _ENOUGH_FILES = 256, 1024
 _NEEDED_MEMORY, _ENOUGH_MEMORY = _GIB // 2, 2 * _GIB
-_ADDRESS_SPACE = 16 * _GIB
-_THREADS = 64
 _FREE_DISK = _GIB  # the most that compiled models may take
 KERNEL_MODULE = "/proc/driver/nvidia/version"
 _VENDOR, _DISPLAY = "0x10de", "0x03"  # of PCI devices
@@ -35,8 +31,9 @@ _LIBRARY_FOLDERS = (
 
 
 def _system(machine: Machine) -> Iterator[Finding]:
-    fields = dict(line.split("=", 1) for line in machine.text("/etc/os-release").splitlines() if "=" in line)
-    name = fields.get("PRETTY_NAME", platform.system()).strip('"')
+    name = platform.system()
+    with suppress(OSError):
+        name = platform.freedesktop_os_release()["PRETTY_NAME"]
     is_contained = any(machine.path(mark).exists() for mark in ("/.dockerenv", "/run/.containerenv"))
     where = ", in a container" if is_contained else ""
     yield ok(f"{name}, {platform.system()} {platform.release()}, {platform.machine()}{where}")
@@ -49,21 +46,18 @@ def _python(_: Machine) -> Iterator[Finding]:
     tried = "Python {}.{} to {}.{}".format(*OLDEST_PYTHON, *NEWEST_PYTHON)
     if OLDEST_PYTHON <= sys.version_info[:2] <= NEWEST_PYTHON:
         yield ok(found)
-    elif sys.version_info[:2] > NEWEST_PYTHON:
-        yield warning(found, remedy=f"Use {tried}: nobody has tried a newer one.")
     else:
-        yield error(found, remedy=f"Install {tried}, and this package into it.")
+        yield warning(found, remedy=f"Install {tried}, and this package into it: nobody has tried another.")
 
 
 def _processor(machine: Machine) -> Iterator[Finding]:
     count, quota, known = compute_threads(), cores(machine.text), abilities()
     found = f"{count} processors, {', '.join(known) or 'no vector instructions known'}"
-    if quota is not None and quota < min(count, int(os.environ.get("OMP_NUM_THREADS", "")[:4] or count)):
-        threads = max(1, math.floor(quota))
+    if quota is not None and quota < int(os.environ.get("OMP_NUM_THREADS") or count):
         yield warning(
             f"{found}; the control group allows {quota:g}",
-            remedy=f"Start the node with OMP_NUM_THREADS={threads}, because more threads wait for each "
-            "other, or raise the limit (--cpus of Docker, CPUQuota= of systemd).",
+            remedy=f"Start the node with OMP_NUM_THREADS={max(1, math.floor(quota))}, because more threads "
+            "wait for each other, or raise the limit (--cpus of Docker, CPUQuota= of systemd).",
         )
     elif platform.machine() == "x86_64" and "avx2" not in known:
         yield warning(found, remedy="Use a small image_size and model: without AVX2 inference is slow.")
@@ -72,55 +66,28 @@ def _processor(machine: Machine) -> Iterator[Finding]:
 
 
 def _memory(machine: Machine) -> Iterator[Finding]:
-    limits = {"is available": available_bytes(machine.path("/proc/meminfo"))}
-    limits["is the limit of the control group"] = memory_bytes(machine.text)
+    limits = {
+        "is available": available_bytes(machine.path("/proc/meminfo")),
+        "is the limit of the control group": memory_bytes(machine.text),
+    }
     known = {name: value for name, value in limits.items() if value is not None}
     found = ", ".join(f"{value / _GIB:.1f} GiB {name}" for name, value in known.items()) or "not known"
-    yield _judged(
-        found,
-        min(known.values(), default=_ENOUGH_MEMORY),
-        needed=_NEEDED_MEMORY,
-        enough=_ENOUGH_MEMORY,
-        remedy="End other programs or raise the limit (--memory of Docker, MemoryMax= of systemd): with too "
-        "little, the kernel kills the detector.",
-    )
-    space = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if space != resource.RLIM_INFINITY and space < _ADDRESS_SPACE:
-        yield warning(
-            f"{space / _GIB:.1f} GiB of address space",
-            remedy="Raise the limit with `ulimit -v unlimited` (LimitAS= of systemd), because torch and Fast "
-            "DDS reserve more addresses than they use.",
+    least = min(known.values(), default=math.inf)
+    if least >= _ENOUGH_MEMORY:
+        yield ok(found)
+    else:
+        yield (error if least < _NEEDED_MEMORY else warning)(
+            found,
+            remedy="End other programs or raise the limit (--memory of Docker, MemoryMax= of systemd): with "
+            "too little, the kernel kills the detector.",
         )
 
 
-def _judged(found: str, value: float, *, needed: float, enough: float, remedy: str) -> Finding:
-    if value >= enough:
-        return ok(found)
-    return (error if value < needed else warning)(found, remedy=remedy)
-
-
-def _limits(_: Machine) -> Iterator[Finding]:
-    files: float = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    is_unlimited = files == resource.RLIM_INFINITY
-    yield _judged(
-        f"{'any number of' if is_unlimited else files} open files",
-        math.inf if is_unlimited else files,
-        needed=_NEEDED_FILES,
-        enough=_ENOUGH_FILES,
-        remedy="Raise the limit with `ulimit -n 4096` (LimitNOFILE=4096 of systemd, --ulimit nofile=4096 of "
-        "Docker), because every peer in the ROS domain takes some.",
-    )
-    if problem := thread_problem(_THREADS):
-        found, told = problem.split(": ", 1)
-        yield error(found, remedy=told[0].upper() + told[1:])
-
-
 def _cache(_: Machine) -> Iterator[Finding]:
-    file = cache_folder("choices") / "doctor"
     try:
-        write_cache(file)
-        file.expanduser().unlink()
-        free = shutil.disk_usage(file.expanduser().parent).free
+        folder = cache_folder("choices").expanduser()
+        write_cache(folder / "doctor")
+        (folder / "doctor").unlink()
     except NO_PLACE as problem:
         yield warning(
             f"the folder of the cache cannot be written: {problem}",
@@ -128,7 +95,8 @@ def _cache(_: Machine) -> Iterator[Finding]:
             "cache, each start compiles the model and compares the runtimes again.",
         )
         return
-    found = f"{file.parent.expanduser()} can be written, {free / _GIB:.1f} GiB free"
+    free = shutil.disk_usage(folder).free
+    found = f"{folder} can be written, {free / _GIB:.1f} GiB free"
     if free >= _FREE_DISK:
         yield ok(found)
     else:
@@ -137,9 +105,16 @@ def _cache(_: Machine) -> Iterator[Finding]:
 
 def _driver(machine: Machine) -> Iterator[Finding]:
     kernel = re.search(r"Kernel Module\b.*?\s(\d+\.[\d.]+)", machine.text(KERNEL_MODULE))
-    libraries = _library_versions(machine)
-    if kernel is None:
-        yield _absence(machine, libraries)
+    files = [file.name for folder in _LIBRARY_FOLDERS for file in machine.path(folder).glob("libcuda.so.*.*")]
+    libraries = {name.removeprefix("libcuda.so.") for name in files}
+    if kernel is None and _has_gpu(machine):
+        yield warning(
+            "an NVIDIA GPU without a driver in the kernel",
+            remedy="Install the driver (on Ubuntu `sudo ubuntu-drivers install`) and restart; give a "
+            "container the GPU with --gpus all. Until then the detector uses the CPU.",
+        )
+    elif kernel is None:
+        yield ok("no NVIDIA GPU: the detector uses the CPU")
     elif libraries and kernel[1] not in libraries:
         yield error(
             f"the kernel has NVIDIA's driver {kernel[1]}, libcuda.so is of {', '.join(sorted(libraries))}",
@@ -148,47 +123,14 @@ def _driver(machine: Machine) -> Iterator[Finding]:
         )
     else:
         yield ok(f"NVIDIA driver {kernel[1]}")
-    try:
-        ctypes.CDLL("libcuda.so.1")
-    except OSError as problem:
-        if not str(problem).startswith("libcuda.so.1: cannot open shared object file"):
-            yield error(
-                f"libcuda.so.1 cannot be loaded: {problem}",
-                remedy="Install NVIDIA's driver again, and remove other copies of libcuda.so.1 from "
-                "LD_LIBRARY_PATH: this file is damaged or for another processor.",
-            )
-
-
-def _library_versions(machine: Machine) -> set[str]:
-    names = [file.name for folder in _LIBRARY_FOLDERS for file in machine.path(folder).glob("libcuda.so.*")]
-    return {found[1] for name in names if (found := re.fullmatch(r"libcuda\.so\.(\d+\.[\d.]+)", name))}
 
 
 def _has_gpu(machine: Machine) -> bool:
     """Whether the machine has an NVIDIA GPU on its PCI bus, with or without a driver."""
-    devices = machine.path("/sys/bus/pci/devices").glob("*")
-    names = (f"/sys/bus/pci/devices/{device.name}" for device in devices)
     return any(
-        machine.text(f"{name}/vendor").strip() == _VENDOR
-        and machine.text(f"{name}/class").startswith(_DISPLAY)
-        for name in names
+        vendor.read_text().strip() == _VENDOR and vendor.with_name("class").read_text().startswith(_DISPLAY)
+        for vendor in machine.path("/sys/bus/pci/devices").glob("*/vendor")
     )
-
-
-def _absence(machine: Machine, libraries: set[str]) -> Finding:
-    if _has_gpu(machine):
-        return warning(
-            "an NVIDIA GPU without a driver",
-            remedy="Install the driver (on Ubuntu `sudo ubuntu-drivers install`) and restart; give a "
-            "container the GPU with --gpus all. Until then the detector uses the CPU.",
-        )
-    if libraries:
-        return warning(
-            f"libcuda.so of {', '.join(sorted(libraries))}, but no driver in the kernel",
-            remedy="Load the driver with `sudo modprobe nvidia`, or give the container the GPU with "
-            "--gpus all.",
-        )
-    return ok("no NVIDIA GPU: the detector uses the CPU")
 
 
 def _camera(machine: Machine) -> Iterator[Finding]:
@@ -205,7 +147,7 @@ def _camera(machine: Machine) -> Iterator[Finding]:
         )
         return
     try:
-        frame = next(open_source(str(device)).frames)
+        height, width = next(open_source(str(device)).frames).image.size_hw
     except SourceError as problem:
         # The driver of USB cameras adds a second device, with the description of the images.
         if machine.text(f"/sys/class/video4linux/{device.name}/index").strip() not in ("", "0"):
@@ -216,9 +158,8 @@ def _camera(machine: Machine) -> Iterator[Finding]:
                 remedy="End the program that uses the camera (`sudo fuser -v /dev/video*`), or plug it in "
                 "again; ignore this line if the device is no camera.",
             )
-        return
-    height, width = frame.image.size_hw
-    yield ok(f"one image of {width}x{height} received")
+    else:
+        yield ok(f"one image of {width}x{height} received")
 
 
 CHECKS: Groups = {
@@ -227,7 +168,6 @@ CHECKS: Groups = {
         "Python": _python,
         "processor": _processor,
         "memory": _memory,
-        "limits": _limits,
         "cache": _cache,
     },
     "driver": {"NVIDIA driver": _driver},

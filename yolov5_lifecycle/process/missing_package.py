@@ -45,7 +45,7 @@ _APT_PACKAGES = {"cv2": "python3-opencv", "scipy": "python3-scipy"}
 
 def import_problem(error: ImportError) -> str:
     """The failed import, the Python used, and how to install what is missing."""
-    return f"{sys.executable} cannot import what is needed: {in_one_line(str(error))}. {remedy_for(error)}"
+    return f"{sys.executable} cannot import what is needed: {in_one_line(str(error))}. {_remedy(error)}"
 
 
 def absence_of(module: str) -> str:
@@ -57,14 +57,15 @@ def absence_of(module: str) -> str:
     return ""
 
 
-def remedy_for(error: ImportError) -> str:
+def _remedy(error: ImportError) -> str:
     """How to install what is missing or damaged."""
     module = (error.name or "").partition(".")[0]
     if not isinstance(error, ModuleNotFoundError) or module == __package__.partition(".")[0]:
         return "The installation is damaged or lacks a system library: install that package again."
     if module not in PIP_PACKAGES:
         return (
-            f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/{ros_distribution()}/setup.bash"
+            f"If '{module}' belongs to ROS, source ROS first: source /opt/ros/{_distribution()}/setup.bash. "
+            f"If it is still missing then: sudo apt install {apt_package_of(module)}"
         )
     remedy = f"Install it with {shell_command(sys.executable, '-m', 'pip', 'install', PIP_PACKAGES[module])}"
     if module in _APT_PACKAGES:
@@ -72,11 +73,11 @@ def remedy_for(error: ImportError) -> str:
     return remedy
 
 
-def ros_distribution() -> str:
+def _distribution() -> str:
     """Name of the ROS distribution that this environment has sourced; without one jazzy."""
-    return in_one_line(os.environ.get("ROS_DISTRO", "jazzy"), 40)
+    return os.environ.get("ROS_DISTRO", "jazzy")
 
 
 def apt_package_of(ros_package: str) -> str:
     """The package of apt that holds `ros_package`, in the distribution that this environment has sourced."""
-    return f"ros-{ros_distribution()}-{in_one_line(ros_package, 60).replace('_', '-')}"
+    return f"ros-{_distribution()}-{ros_package.replace('_', '-')}"

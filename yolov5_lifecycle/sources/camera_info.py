@@ -8,7 +8,6 @@ from urllib.parse import unquote
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
-from pydantic_core import PydanticCustomError
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file, resolve_package
@@ -16,30 +15,25 @@ from yolov5_lifecycle.printable import in_one_line
 
 MAX_FILE_BYTES = 64 * 1024
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
-_MAX_SHOWN = 5
 _FILE, _PACKAGE = "file://", "package://"
 
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 
 
-class Matrix(BaseModel):
-    """A matrix in OpenCV's YAML format: rows, cols and row-major data."""
+class Coefficients(BaseModel):
+    """A matrix in OpenCV's YAML format, of which only the row-major data are needed."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    rows: int = Field(ge=1, le=16)
-    cols: int = Field(ge=1, le=16)
-    data: Annotated[tuple[float, ...], Field(max_length=256)]
+    data: Annotated[tuple[float, ...], Field(max_length=14)]
 
-    @model_validator(mode="after")
-    def _has_as_many_values_as_it_says(self) -> Matrix:
-        if len(self.data) != self.rows * self.cols:
-            raise PydanticCustomError(
-                "matrix",
-                "expected {rows} x {cols} values in data, found {found}",
-                {"rows": self.rows, "cols": self.cols, "found": len(self.data)},
-            )
-        return self
+
+class Matrix3x3(Coefficients):
+    data: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)]
+
+
+class Matrix3x4(Coefficients):
+    data: Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 
 
 class CameraInfoValues(BaseModel):
@@ -50,31 +44,21 @@ class CameraInfoValues(BaseModel):
     image_width: Side
     image_height: Side
     camera_name: str = Field("", max_length=200)
-    camera_matrix: Matrix
+    camera_matrix: Matrix3x3
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
-    distortion_coefficients: Matrix
-    rectification_matrix: Matrix
-    projection_matrix: Matrix
+    distortion_coefficients: Coefficients
+    rectification_matrix: Matrix3x3
+    projection_matrix: Matrix3x4
 
     @model_validator(mode="after")
-    def _has_the_right_shapes(self) -> CameraInfoValues:
-        for name, shape in (
-            ("camera_matrix", (3, 3)),
-            ("rectification_matrix", (3, 3)),
-            ("projection_matrix", (3, 4)),
-        ):
-            matrix: Matrix = getattr(self, name)
-            if (matrix.rows, matrix.cols) != shape:
-                raise _problem(
-                    f"{name}: expected {shape[0]} x {shape[1]}, found {matrix.rows} x {matrix.cols}"
-                )
+    def _is_of_a_calibrated_camera(self) -> CameraInfoValues:
         if min(self.camera_matrix.data[0], self.camera_matrix.data[4]) <= 0:
-            raise _problem("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
-        counts = _COEFFICIENTS[self.distortion_model]
-        if len(self.distortion_coefficients.data) not in counts:
-            raise _problem(
+            raise ValueError("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
+        counts, found = _COEFFICIENTS[self.distortion_model], len(self.distortion_coefficients.data)
+        if found not in counts:
+            raise ValueError(
                 f"distortion_coefficients: expected {' or '.join(map(str, counts))} for "
-                f"{self.distortion_model}, found {len(self.distortion_coefficients.data)}"
+                f"{self.distortion_model}, found {found}"
             )
         return self
 
@@ -105,10 +89,7 @@ def read_camera_info(url: str) -> CameraInfoValues:
 
 def _path(url: str) -> Path:
     if url.startswith(_PACKAGE):
-        try:
-            return Path(resolve_package(url))
-        except ValueError as error:
-            raise ValueError(in_one_line(str(error))) from None
+        return Path(resolve_package(url))
     path = Path(unquote(url.removeprefix(_FILE)))
     if not (url.startswith(_FILE) and path.is_absolute()):
         raise ValueError(
@@ -117,15 +98,10 @@ def _path(url: str) -> Path:
     return path
 
 
-def _problem(text: str) -> PydanticCustomError:
-    return PydanticCustomError("camera_info", "{text}", {"text": text})
-
-
 def _described(error: ValidationError) -> str:
-    """The first problems, each with its location in the file."""
-    problems = [
-        ": ".join(filter(None, (".".join(map(str, details["loc"]))[:100], details["msg"][:300])))
-        for details in error.errors(include_url=False, include_input=False)
-    ]
-    further = f"; and {len(problems) - _MAX_SHOWN} more" if len(problems) > _MAX_SHOWN else ""
-    return "; ".join(problems[:_MAX_SHOWN]) + further
+    """Every problem, with its location in the file unless it concerns several values."""
+    problems = []
+    for details in error.errors(include_url=False, include_input=False):
+        location = ".".join(map(str, details["loc"]))
+        problems.append(f"{location}{': ' if location else ''}{details['msg'].removeprefix('Value error, ')}")
+    return "; ".join(problems)

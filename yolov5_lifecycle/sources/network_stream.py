@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import time
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from urllib.parse import urlsplit
@@ -22,23 +22,18 @@ MAX_DELAY_S = 30.0
 _TIMEOUT_MS = 10_000
 """For connecting and for each frame; OpenCV's default is 30 s. GStreamer pipelines set their own."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
-_UNENCODED = re.compile(r"://.*[\s/?#].*@")
+_HINT = "Percent-encode what a password has of #, /, ? and blanks: %23, %2F, %3F and %20."
 
 Report = Callable[[str], None]
 Wait = Callable[[float], bool]
 """Waits the given seconds; True when interrupted because the stream is no longer needed."""
+sleep: Wait = threading.Event().wait
 Connect = Callable[[str], cv2.VideoCapture]
 
 
 def is_stream(source: str) -> bool:
     """Whether `source` is a URL or a GStreamer pipeline (elements separated by ` ! `)."""
     return _SCHEME.match(source) is not None or " ! " in source
-
-
-def sleep(seconds: float) -> bool:
-    """A `Wait` that cannot be interrupted."""
-    time.sleep(seconds)
-    return False
 
 
 def open_capture(source: str) -> cv2.VideoCapture:
@@ -53,24 +48,20 @@ def open_capture(source: str) -> cv2.VideoCapture:
             f"'{in_one_line(source)}': expected a URL that begins with one of "
             f"{', '.join(SCHEMES)}, or the path of a file without file://."
         )
-    _check_host(source)
+    if not _has_host(source):  # FFmpeg would take, and tell, a part of the password for the host
+        raise SourceError(f"'{in_one_line(source)}': expected HOST or HOST:PORT before the path. {_HINT}")
     check_backend(cv2.CAP_FFMPEG, "URLs", "FFmpeg")
     timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]
     with stderr_without_secrets():
         return cv2.VideoCapture(source, cv2.CAP_FFMPEG, timeouts)
 
 
-def _check_host(source: str) -> None:
-    """Raises SourceError where FFmpeg would take, and tell, a part of the password for the host."""
+def _has_host(source: str) -> bool:
     try:
         address = urlsplit(source)
-        is_host = " " not in address.netloc and address.port != 0
+        return " " not in address.netloc and address.port != 0
     except ValueError:
-        is_host = False
-    if not is_host:
-        raise SourceError(
-            f"'{in_one_line(source)}': expected HOST or HOST:PORT before the path.{_hint(source)}"
-        )
+        return False
 
 
 def open_stream(
@@ -88,43 +79,25 @@ def open_stream(
     Raises SourceError if the first connection fails. Later failures go to `report`; `wait` is called before
     each attempt, with a backoff that doubles from 1 to 30 s.
     """
-    capture = connect(source)
-    if not capture.isOpened():
-        capture.release()
+    first = connect(source)
+    if not first.isOpened():
+        first.release()
         raise SourceError(
-            f"'{in_one_line(source)}' cannot be opened: is the address right, does the camera answer, "
-            f"and does it need a user name and a password?{_hint(source)} OpenCV's own message is above."
+            f"'{in_one_line(source)}' cannot be opened: is the address right, does the camera answer, and "
+            f"does it need a user name and a password? {_HINT} OpenCV's own message is above."
         )
-    is_file = capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
-    rate_hz = capture.get(cv2.CAP_PROP_FPS)
-    frames = _frames(source, capture, reconnects=reconnects, report=report, wait=wait, connect=connect)
-    return frames, rate_hz if is_file and 0 < rate_hz <= 1000 else None
+    is_file = first.get(cv2.CAP_PROP_FRAME_COUNT) > 0
+    rate_hz = first.get(cv2.CAP_PROP_FPS)
 
-
-def _hint(source: str) -> str:
-    if not _UNENCODED.search(source):
-        return ""
-    return " Percent-encode what a password has of #, /, ? and blanks: %23, %2F, %3F and %20."
-
-
-def _frames(
-    source: str,
-    capture: cv2.VideoCapture,
-    *,
-    reconnects: bool,
-    report: Report,
-    wait: Wait,
-    connect: Connect,
-) -> Iterator[NDArray[np.uint8]]:
-    delay_s = MIN_DELAY_S
-    while True:
-        with suppress(SourceError):
-            for pixels in captured(capture):
-                yield pixels
-                delay_s = MIN_DELAY_S
-        if not reconnects:
-            return
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        capture, delay_s = first, MIN_DELAY_S
         while True:
+            with suppress(SourceError):
+                for pixels in captured(capture):
+                    yield pixels
+                    delay_s = MIN_DELAY_S
+            if not reconnects:
+                return
             report(f"'{in_one_line(source)}' delivers no more images. Reconnecting in {delay_s:g} s.")
             if wait(delay_s):
                 return
@@ -132,21 +105,20 @@ def _frames(
             capture = connect(source)
             if capture.isOpened():
                 report(f"'{in_one_line(source)}' is connected again.")
-                break
-            capture.release()
+
+    return frames(), rate_hz if is_file and 0 < rate_hz <= 1000 else None
 
 
 def captured(capture: cv2.VideoCapture) -> Iterator[NDArray[np.uint8]]:
     """BGR frames (H, W, 3) to the end, where it is released; SourceError if one cannot be decoded."""
     try:
         while True:
-            try:
-                is_read, pixels = capture.read()
-            except cv2.error as error:
-                raise SourceError(f"OpenCV cannot decode the next frame: {error.err}.") from None
+            is_read, pixels = capture.read()
             if not is_read:
                 return
             yield np.asarray(pixels, np.uint8)
+    except cv2.error as error:
+        raise SourceError(f"OpenCV cannot decode the next frame: {error.err}.") from None
     finally:
         capture.release()
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
+Point = tuple[float, float]
+Colour = tuple[int, int, int]
+"""Of three channels, 0 to 255."""
 CLASS_NAMES = ("circle", "square", "triangle", "star")
 
 SMALLEST_SIDE_PX = 64
@@ -35,10 +38,10 @@ class Shape:
     """A regular shape: centre and circumscribed radius in pixels, rotation in radians, RGB fill."""
 
     class_id: int
-    centre_xy: tuple[float, float]
+    centre_xy: Point
     radius: float
     angle: float
-    colour: tuple[int, int, int]
+    colour: Colour
 
     def outline(self) -> NDArray[np.float64]:
         """Corners (k, 2) in pixels; (0, 0) is the outer corner of the first pixel."""
@@ -90,21 +93,21 @@ class Scene:
 
     def shapes(self, index: int) -> list[Shape]:
         """The shapes in image number `index`, in the order of the ground truth."""
-        return [path.shape(index) for path in self._paths]
+        return [path(index) for path in self._paths]
 
 
-def cluttered_background(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
+def cluttered_background(rng: Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
     """An RGB image (H, W, 3) without any of the classes: texture, bars, curves, characters."""
     pixels = _smooth_noise(rng, size_hw)
     things = (_draw_bar, _draw_slim_ellipse, _draw_curve, _draw_letters)
     for _ in range(rng.integers(0, 16)):
         draw = things[rng.integers(0, len(things))]
-        centre = rng.uniform((0, 0), size_hw[::-1])
-        draw(rng, _Place(pixels, centre, min(size_hw), _random_colour(rng)))
+        x, y = rng.uniform((0, 0), size_hw[::-1]).tolist()
+        draw(rng, pixels, (x, y), _random_colour(rng))
     return pixels
 
 
-def _smooth_noise(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
+def _smooth_noise(rng: Generator, size_hw: tuple[int, int]) -> NDArray[np.uint8]:
     """Low-frequency colour noise with a finer grey texture on top."""
     height, width = size_hw
     colours = rng.uniform(0, 255, (*rng.integers(2, 7, 2), 3))
@@ -116,87 +119,47 @@ def _smooth_noise(rng: np.random.Generator, size_hw: tuple[int, int]) -> NDArray
     return np.asarray(np.clip(pixels, 0, 255), np.uint8)
 
 
-class _Place(NamedTuple):
-    """Where in `pixels` (H, W, 3) a thing is drawn, and its RGB colour; lengths are parts of `side_px`."""
-
-    pixels: NDArray[np.uint8]
-    centre_xy: NDArray[np.float64]
-    side_px: int
-    colour: tuple[int, int, int]
-
-    @property
-    def point(self) -> tuple[int, int]:
-        """The centre in whole pixels."""
-        x, y = self.centre_xy.tolist()
-        return int(x), int(y)
-
-
-def _draw_bar(rng: np.random.Generator, place: _Place) -> None:
-    length = place.side_px * rng.uniform(0.1, 0.9)
+def _draw_bar(rng: Generator, pixels: NDArray[np.uint8], centre_xy: Point, colour: Colour) -> None:
+    length = min(pixels.shape[:2]) * rng.uniform(0.1, 0.9)
     size = (length, length * rng.uniform(0.03, 0.22))
-    x, y = place.centre_xy.tolist()
-    corners = cv2.boxPoints(((x, y), size, rng.uniform(0, 180)))
-    cv2.fillPoly(place.pixels, [np.int32(corners)], place.colour, cv2.LINE_AA)
+    corners = cv2.boxPoints((centre_xy, size, rng.uniform(0, 180)))
+    cv2.fillPoly(pixels, [np.int32(corners)], colour, cv2.LINE_AA)
 
 
-def _draw_slim_ellipse(rng: np.random.Generator, place: _Place) -> None:
-    length = place.side_px * rng.uniform(0.05, 0.4)
+def _draw_slim_ellipse(rng: Generator, pixels: NDArray[np.uint8], centre_xy: Point, colour: Colour) -> None:
+    length = min(pixels.shape[:2]) * rng.uniform(0.05, 0.4)
     axes = (int(length), max(int(length * rng.uniform(0.1, 0.35)), 1))
     thickness = -1 if rng.random() < 0.5 else int(rng.integers(1, 4))
     angle = rng.uniform(0, 180)
-    cv2.ellipse(place.pixels, place.point, axes, angle, 0, 360, place.colour, thickness, cv2.LINE_AA)
+    point = (int(centre_xy[0]), int(centre_xy[1]))
+    cv2.ellipse(pixels, point, axes, angle, 0, 360, colour, thickness, cv2.LINE_AA)
 
 
-def _draw_curve(rng: np.random.Generator, place: _Place) -> None:
-    steps = rng.normal(0, place.side_px * 0.12, (rng.integers(2, 9), 2)).cumsum(axis=0)
-    points = np.int32(place.centre_xy + steps)
-    cv2.polylines(place.pixels, [points], False, place.colour, int(rng.integers(1, 5)), cv2.LINE_AA)
+def _draw_curve(rng: Generator, pixels: NDArray[np.uint8], centre_xy: Point, colour: Colour) -> None:
+    steps = rng.normal(0, min(pixels.shape[:2]) * 0.12, (rng.integers(2, 9), 2)).cumsum(axis=0)
+    cv2.polylines(pixels, [np.int32(centre_xy + steps)], False, colour, int(rng.integers(1, 5)), cv2.LINE_AA)
 
 
-def _draw_letters(rng: np.random.Generator, place: _Place) -> None:
+def _draw_letters(rng: Generator, pixels: NDArray[np.uint8], centre_xy: Point, colour: Colour) -> None:
     text = "".join(rng.choice(list("AEFHIKLMNRTWXYZ147"), rng.integers(1, 6)))
-    scale = place.side_px * rng.uniform(0.002, 0.012)
+    scale = min(pixels.shape[:2]) * rng.uniform(0.002, 0.012)
     font, thickness = rng.integers(0, 8), rng.integers(1, 5)
-    cv2.putText(place.pixels, text, place.point, int(font), scale, place.colour, int(thickness))
+    point = (int(centre_xy[0]), int(centre_xy[1]))
+    cv2.putText(pixels, text, point, int(font), scale, colour, int(thickness))
 
 
-def _random_colour(rng: np.random.Generator) -> tuple[int, int, int]:
+def _random_colour(rng: Generator) -> Colour:
     red, green, blue = rng.integers(0, 256, 3).tolist()
     return red, green, blue
 
 
-def contrasting_colour(rng: np.random.Generator, behind: NDArray[np.uint8]) -> tuple[int, int, int]:
+def contrasting_colour(rng: Generator, behind: NDArray[np.uint8]) -> Colour:
     """A random colour that contrasts with the mean of the pixels (h, w, 3) `behind`."""
     candidates = rng.integers(0, 256, (16, 3))
     distances = np.linalg.norm(candidates - behind.mean(axis=(0, 1)), axis=1)
     best = int(np.argmax(np.minimum(distances, _SMALLEST_CONTRAST)))  # the first with sufficient distance
     red, green, blue = candidates[best].tolist()
     return red, green, blue
-
-
-@dataclass(frozen=True)
-class _Path:
-    """Motion of a shape: sinusoidal in x, y and size around `still`, with constant rotation."""
-
-    still: Shape
-    swing_xy: tuple[float, float]
-    rates_xyr: tuple[float, float, float]  # radians per frame
-    phases_xyr: tuple[float, float, float]
-    turn: float  # radians per frame
-
-    def shape(self, index: int) -> Shape:
-        sines = [
-            math.sin(rate * index + phase)
-            for rate, phase in zip(self.rates_xyr, self.phases_xyr, strict=True)
-        ]
-        x, y = self.still.centre_xy
-        return Shape(
-            class_id=self.still.class_id,
-            centre_xy=(x + self.swing_xy[0] * sines[0], y + self.swing_xy[1] * sines[1]),
-            radius=self.still.radius * (0.9 + 0.1 * sines[2]),
-            angle=self.still.angle + self.turn * index,
-            colour=self.still.colour,
-        )
 
 
 def _six_cells(size_hw: tuple[int, int]) -> list[tuple[int, int, int, int]]:
@@ -209,30 +172,32 @@ def _six_cells(size_hw: tuple[int, int]) -> list[tuple[int, int, int, int]]:
 
 
 def _random_path(
-    rng: np.random.Generator,
+    rng: Generator,
     background: NDArray[np.uint8],
     class_id: int,
     cell_xyxy: tuple[int, int, int, int],
-) -> _Path:
+) -> Callable[[int], Shape]:
+    """A shape by number of the image: sinusoidal in x, y and size within its cell, with constant rotation."""
     left, top, right, bottom = cell_xyxy
-    half_xy = ((right - left) / 2, (bottom - top) / 2)
-    radius = min(half_xy) * rng.uniform(0.4, 0.65)
-    still = Shape(
-        class_id=class_id,
-        centre_xy=(left + half_xy[0], top + half_xy[1]),
-        radius=radius,
-        angle=rng.uniform(0, 2 * math.pi),
-        colour=contrasting_colour(rng, background[top:bottom, left:right]),
-    )
-    x_rate, y_rate, size_rate = (2 * math.pi / rng.uniform(90, 240, 3)).tolist()
-    x_phase, y_phase, size_phase = rng.uniform(0, 2 * math.pi, 3).tolist()
-    return _Path(
-        still=still,
-        swing_xy=(half_xy[0] - radius, half_xy[1] - radius),
-        rates_xyr=(x_rate, y_rate, size_rate),
-        phases_xyr=(x_phase, y_phase, size_phase),
-        turn=rng.uniform(-0.05, 0.05),
-    )
+    half_x, half_y = (right - left) / 2, (bottom - top) / 2
+    largest = min(half_x, half_y) * rng.uniform(0.4, 0.65)
+    first_angle = rng.uniform(0, 2 * math.pi)
+    colour = contrasting_colour(rng, background[top:bottom, left:right])
+    rates = (2 * math.pi / rng.uniform(90, 240, 3)).tolist()  # radians per image, as the turn
+    phases = rng.uniform(0, 2 * math.pi, 3).tolist()
+    turn = rng.uniform(-0.05, 0.05)
+
+    def shape(index: int) -> Shape:
+        x, y, size = (math.sin(rate * index + phase) for rate, phase in zip(rates, phases, strict=True))
+        return Shape(
+            class_id=class_id,
+            centre_xy=(left + half_x + (half_x - largest) * x, top + half_y + (half_y - largest) * y),
+            radius=largest * (0.9 + 0.1 * size),
+            angle=first_angle + turn * index,
+            colour=colour,
+        )
+
+    return shape
 
 
 def truth_of(shapes: Sequence[Shape], size_hw: tuple[int, int]) -> Truth:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -34,9 +33,9 @@ from yolov5_lifecycle.sources.scene_depth import SceneDepth
 
 SYNTHETIC = "synthetic"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+_DEVICE = re.compile(r"(?:/dev/video)?([0-9]{1,9})")
 IMAGE_RATE_HZ = 30.0
 """Default rate for sources without their own."""
-_MAX_DEVICE_DIGITS = 9
 _MAX_VIDEO_RATE_HZ = 1000.0
 _MAX_FILE_BYTES = 8 * MAX_COMPRESSED_PX
 """No image has more: 16 bits in four channels, not compressed."""
@@ -44,7 +43,6 @@ _DEMUXERS = "mov,avi,matroska,flv,mpegts,mpeg,ogg,asf,gif"
 """FFmpeg's formats of one video in one file. Others, which it finds in a file of any name, are lists of other
 files and addresses, patterns of names, images and scripts."""
 _FFMPEG_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
-_environment = threading.Lock()
 _DEFAULT_SCENE_HW = (480, 640)
 _MAX_REPORTED = 10
 """Number of skipped images that are reported by name; further ones are only counted."""
@@ -77,12 +75,12 @@ def open_source(
     """
     if source == SYNTHETIC:
         return _synthetic(seed, size_hw or _DEFAULT_SCENE_HW, depth)
-    if (device := _device_number(source)) is not None:
-        return _device(device, size_hw)
+    if not is_utf8(source):  # OpenCV 5.0 crashes
+        raise SourceError(f"{in_one_line(source)}: the path or address of a source must be UTF-8; rename it.")
+    if device := _DEVICE.fullmatch(os.path.realpath(source) if "/" in source else source):
+        return _device(int(device[1]), size_hw)
     path = Path(source).expanduser()
     if is_stream(source) and not _exists(path):
-        if not is_utf8(source):  # OpenCV 5.0 crashes
-            raise SourceError(f"'{in_one_line(source)}': the address of a stream must be UTF-8.")
         frames, rate_hz = open_stream(source, reconnects=loop, report=report, wait=wait)
         return ImageSource((_frame(pixels, size_hw) for pixels in frames), rate_hz)
     if not _exists(path):
@@ -102,20 +100,6 @@ def _exists(path: Path) -> bool:
         return path.exists()
     except OSError:  # a name that is too long, a folder without access permission
         return False
-
-
-def _device_number(source: str) -> int | None:
-    """The device number if `source` is a camera's number or path; None for any other source."""
-    if source.isascii() and source.isdigit() and len(source) <= _MAX_DEVICE_DIGITS:
-        return int(source)
-    path = Path(source)
-    if re.fullmatch(r"/dev/video\d{1,9}", source) and not _exists(path):
-        raise SourceError(f"There is no device {source}.{_devices()}")
-    if not (_exists(path) and path.is_char_device()):
-        return None
-    if (named := re.fullmatch(r"/dev/video(\d+)", str(path.resolve()))) is None:
-        raise SourceError(f"{in_one_line(source)} is a device, but not a camera.{_devices()}")
-    return int(named[1])
 
 
 def _devices() -> str:
@@ -156,8 +140,6 @@ def _device(number: int, size_hw: tuple[int, int] | None) -> ImageSource:
 
 
 def _video(path: Path, size_hw: tuple[int, int] | None, loop: bool) -> ImageSource:
-    if not is_utf8(str(path)):  # OpenCV 5.0 crashes
-        raise SourceError(f"{in_one_line(str(path))}: the path of a video must be UTF-8; rename it.")
     capture = _opened(path)
     if not capture.isOpened():
         raise SourceError(
@@ -192,16 +174,15 @@ def _first_and_others(capture: cv2.VideoCapture, problem: str) -> Iterator[NDArr
 def _opened(path: Path) -> cv2.VideoCapture:
     """The video of one file, opened or not."""
     check_backend(cv2.CAP_FFMPEG, "videos", "FFmpeg")
-    with _environment:  # OpenCV has no other way, and reads it only while it opens
-        given = os.environ.get(_FFMPEG_OPTIONS)
-        own = f"format_whitelist;{_DEMUXERS}|protocol_whitelist;file"
-        os.environ[_FFMPEG_OPTIONS] = "|".join(filter(None, (given, own)))
-        try:
-            return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
-        finally:
-            os.environ[_FFMPEG_OPTIONS] = given or ""
-            if given is None:
-                del os.environ[_FFMPEG_OPTIONS]
+    given = os.environ.get(_FFMPEG_OPTIONS)
+    own = f"format_whitelist;{_DEMUXERS}|protocol_whitelist;file"
+    os.environ[_FFMPEG_OPTIONS] = "|".join(filter(None, (given, own)))  # OpenCV has no other way
+    try:
+        return cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
+    finally:
+        del os.environ[_FFMPEG_OPTIONS]
+        if given is not None:
+            os.environ[_FFMPEG_OPTIONS] = given
 
 
 def image_paths(path: Path) -> list[Path]:
@@ -228,29 +209,23 @@ def _images(
     paths: Sequence[Path], size_hw: tuple[int, int] | None, loop: bool, report: Report
 ) -> Iterator[SourceFrame]:
     """Image files in order; with `loop`, endlessly. Of several, unreadable ones are skipped."""
-    skipped: dict[Path, str] = {}
+    skipped: set[Path] = set()
     for number, path in enumerate(itertools.cycle(paths) if loop else paths, start=1):
         try:
             frame = _frame(read_image(path).pixels, size_hw)
-        except (SourceError, ImageError) as error:
-            if path not in skipped:
-                skipped[path] = str(error)
-                _report_skipped(len(skipped), len(paths), str(error), report)
+        except SourceError as error:
+            if len(paths) == 1:
+                raise
+            if path not in skipped and len(skipped) < _MAX_REPORTED:
+                report(f"skipped: {error}")
+            skipped.add(path)
             if len(skipped) == len(paths):
-                raise SourceError(
-                    str(error) if len(paths) == 1 else f"None of the {len(paths)} images can be read."
-                ) from None
+                raise SourceError(f"None of the {len(paths)} images can be read.") from None
         else:
-            skipped.pop(path, None)
+            skipped.discard(path)
             yield frame
         if number == len(paths) and skipped:
             report(f"{len(skipped)} of {len(paths)} images were skipped.")
-
-
-def _report_skipped(count: int, total: int, problem: str, report: Report) -> None:
-    if total > 1 and count <= _MAX_REPORTED:
-        further = " Further ones are only counted." if count == _MAX_REPORTED else ""
-        report(f"skipped: {problem}{further}")
 
 
 def read_image(path: Path) -> ColourImage:

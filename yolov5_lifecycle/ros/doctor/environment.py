@@ -12,8 +12,7 @@ from pathlib import Path
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
-from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.missing_package import apt_package_of, remedy_for
+from yolov5_lifecycle.process.missing_package import apt_package_of
 from yolov5_lifecycle.ros.shared_memory import (
     DEFAULT_RMW,
     PROFILE_VARIABLES,
@@ -26,16 +25,18 @@ _DISTRIBUTIONS = {"7": "jazzy", "9": "kilted"}
 """By the first number of rclpy's version."""
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _LAST_DOMAIN, _LAST_FREE_DOMAIN = 232, 101
-_MODULES = ("rclpy", "sensor_msgs.msg", "diagnostic_msgs.msg", "lifecycle_msgs.srv", "vision_msgs.msg")
 
 
 def _distribution(_: Machine) -> Iterator[Finding]:
-    try:
-        for module in _MODULES:
-            import_module(module)
-    except ImportError as problem:
-        yield error(in_one_line(str(problem), 400), remedy=_ros_remedy(problem))
-        return
+    """Raises what the import of missing or broken messages raises."""
+    for module in (
+        "rclpy",
+        "sensor_msgs.msg",
+        "diagnostic_msgs.msg",
+        "lifecycle_msgs.srv",
+        "vision_msgs.msg",
+    ):
+        import_module(module)
     rclpy = version("rclpy")
     known = _DISTRIBUTIONS.get(rclpy.partition(".")[0], "")
     sourced = os.environ.get("ROS_DISTRO", known)
@@ -53,12 +54,6 @@ def _distribution(_: Machine) -> Iterator[Finding]:
         yield ok(found)
 
 
-def _ros_remedy(problem: ImportError) -> str:
-    if (problem.name or "").startswith("vision_msgs"):
-        return f"Install the messages with `sudo apt install {apt_package_of('vision_msgs')}`."
-    return remedy_for(problem)
-
-
 def _middleware(_: Machine) -> Iterator[Finding]:
     name = os.environ.get("RMW_IMPLEMENTATION") or DEFAULT_RMW
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
@@ -72,28 +67,18 @@ def _middleware(_: Machine) -> Iterator[Finding]:
         )
     else:
         yield ok(f"{name}; installed are {', '.join(installed)}")
-    yield from _settings_of_middleware()
-
-
-def _settings_of_middleware() -> Iterator[Finding]:
     for variable in (*PROFILE_VARIABLES, "CYCLONEDDS_URI"):
-        value = os.environ.get(variable, "")
-        path = value.removeprefix("file://")
-        if not value or path.lstrip().startswith("<"):  # Cyclone DDS takes the text itself
-            continue
-        if Path(path).is_file():
-            yield ok(f"{variable} is {path}")
-        else:
+        path = os.environ.get(variable, "").removeprefix("file://")
+        # Cyclone DDS takes the text itself, too.
+        if path and not path.lstrip().startswith("<") and not Path(path).is_file():
             yield error(
                 f"{variable} is {path}, which is no file",
-                remedy=f"Correct the path, or `unset {variable}`: without the file its settings do not "
-                "apply.",
+                remedy=f"Correct the path, or `unset {variable}`: its settings do not apply.",
             )
-    transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")
-    if transports.startswith("UDP"):
+    if (transports := os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "")).startswith("UDP"):
         yield warning(
-            f"FASTDDS_BUILTIN_TRANSPORTS is {transports}: images go over UDP, which loses "
-            "large ones, even on this machine",
+            f"FASTDDS_BUILTIN_TRANSPORTS is {transports}: images go over UDP, which loses large ones, even "
+            "on this machine",
             remedy="`unset FASTDDS_BUILTIN_TRANSPORTS`, unless all images leave this machine.",
         )
 
@@ -101,12 +86,12 @@ def _settings_of_middleware() -> Iterator[Finding]:
 def _discovery(_: Machine) -> Iterator[Finding]:
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "SUBNET"
-    problems = [*_domain_problems(domain), *_reach_problems(reach)]
+    problems = list(_discovery_problems(domain, reach))
     yield from problems or [ok(f"domain {domain}, discovery range {reach}")]
 
 
-def _domain_problems(domain: str) -> Iterator[Finding]:
-    number = int(domain) if domain.isascii() and domain.isdigit() and len(domain) < 9 else -1
+def _discovery_problems(domain: str, reach: str) -> Iterator[Finding]:
+    number = int(domain) if domain.isdecimal() and len(domain) < 9 else -1
     remedy = f"`export ROS_DOMAIN_ID=` a number from 0 to {_LAST_FREE_DOMAIN}, the same for all nodes."
     if not 0 <= number <= _LAST_DOMAIN:
         yield error(f"ROS_DOMAIN_ID is {domain}: no node can start", remedy=remedy)
@@ -115,9 +100,6 @@ def _domain_problems(domain: str) -> Iterator[Finding]:
             f"ROS_DOMAIN_ID is {number}: Linux may give the ports of this domain to other programs",
             remedy=remedy,
         )
-
-
-def _reach_problems(reach: str) -> Iterator[Finding]:
     if reach not in _RANGES:
         yield error(
             f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach}, which means LOCALHOST to ROS",
@@ -155,22 +137,17 @@ def _shared_memory(machine: Machine) -> Iterator[Finding]:
 
 def _log(_: Machine) -> Iterator[Finding]:
     home = os.environ.get("ROS_HOME") or "~/.ros"
-    folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log")
     try:
-        if folder.parts[0] == "~" and not os.environ.get("HOME"):  # which Python replaces, but not ROS
-            raise OSError("HOME is not set")
-        folder = folder.expanduser()
+        folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            pass
+            yield ok(f"{folder} can be written")
     except (OSError, RuntimeError) as problem:
         yield error(
             f"the folder of ROS's log cannot be written: {problem}",
-            remedy="Give this user the right to write it, set HOME, or set ROS_LOG_DIR to another folder: "
-            "without a log, no node starts.",
+            remedy="Give this user the right to write it, or set ROS_LOG_DIR to another folder: without a "
+            "log, no node starts.",
         )
-    else:
-        yield ok(f"{folder} can be written")
 
 
 CHECKS: Groups = {

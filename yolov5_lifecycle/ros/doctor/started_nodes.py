@@ -6,7 +6,6 @@ import os
 import re
 import statistics
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
@@ -64,7 +63,8 @@ class Arrivals:
 
 
 def _transport(_: Machine) -> Iterator[Finding]:
-    if not (found := _watched()).numbers:
+    found = _watched()
+    if not found.numbers:
         yield error(
             f"no image arrived from another process within {_DISCOVERY_S:g} s",
             remedy="Check the settings above (middleware, discovery), and that a firewall lets UDP to this "
@@ -73,19 +73,14 @@ def _transport(_: Machine) -> Iterator[Finding]:
     elif found.lost <= _FEW_LOST:
         yield ok(str(found))
     else:
-        yield warning(str(found), remedy=_remedy())
-
-
-def _remedy() -> str:
-    """What helps, tried: the profile for large images, unless the user has one."""
-    overloaded = "Lower the camera's rate or size, or send compressed images: this machine is too busy."
-    if any(os.environ.get(variable) for variable in PROFILE_VARIABLES):
-        return overloaded
-    profile = os.environ[PROFILE_VARIABLES[0]] = resolve_package(PROFILE)
-    found = _watched()
-    if not found.numbers or found.lost > _FEW_LOST:
-        return overloaded
-    return f"Start cameras with `export {PROFILE_VARIABLES[0]}={profile}`; tried here: {found}."
+        remedy = "Lower the camera's rate or size, or send compressed images: this machine is too busy."
+        if not any(os.environ.get(variable) for variable in PROFILE_VARIABLES):
+            profile = os.environ[PROFILE_VARIABLES[0]] = resolve_package(PROFILE)
+            if (better := _watched()).lost <= _FEW_LOST:
+                remedy = (
+                    f"Start cameras with `export {PROFILE_VARIABLES[0]}={profile}`; tried here: {better}."
+                )
+        yield warning(str(found), remedy=remedy)
 
 
 def _watched() -> Arrivals:
@@ -120,25 +115,16 @@ def has_foreign_segment(maps: str) -> bool:
 
 def _life(_: Machine) -> Iterator[Finding]:
     """What `demo` says, which drives every transition, live changes and a model swap."""
-    output = ""
-    with (
-        temporary_folder() as folder,  # the demonstration writes below the current one
-        subprocess.Popen(
-            [entry_point("demo")], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        ) as demo,
-    ):
-        assert demo.stdout is not None
-        for line in demo.stdout:
-            sys.stderr.write(line)  # `doctor` quotes the last ones if no further one follows in time
-            output += line
+    with temporary_folder() as folder:  # the demonstration writes below the current one
+        demo = subprocess.run([entry_point("demo")], cwd=folder, capture_output=True, text=True, check=False)
     if demo.returncode == 0:
-        found = output.rpartition("demo ok: ")[2].partition(", image")[0]
+        found = demo.stdout.rpartition("demo ok: ")[2].partition(", image")[0]
         yield ok(
             f"configured, activated, changed, model swapped, deactivated, activated again, shut down: {found}"
         )
     else:
         yield error(
-            in_one_line(output.rpartition("demo failed: ")[2], 800),
+            in_one_line(demo.stdout.rpartition("demo failed: ")[2] + demo.stderr, 800),
             remedy="Correct the errors above first; then run `demo`, which shows every step, and report "
             "its output.",
         )
