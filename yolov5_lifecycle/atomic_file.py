@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.unfinished import hold, remove_abandoned, temporary_folder
+from yolov5_lifecycle.unfinished import FOLDER_PREFIX, hold, remove_abandoned_folders, temporary_folder
 
 UNFINISHED_PREFIX, UNFINISHED_SUFFIX = ".", ".part"
-_OUTPUT_PREFIX = ".yolov5_lifecycle-unfinished-"
 _ATTEMPTS = 20
 
 
@@ -79,8 +78,8 @@ def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
         _check_free(path)
     if not path.parent.is_dir():
         raise OutputError(f"{path.parent}: folder not found; create it first.")
-    remove_unfinished_outputs(path.parent)
-    with temporary_folder(path.parent, prefix=_OUTPUT_PREFIX) as folder:
+    remove_abandoned_folders(path.parent)
+    with temporary_folder(path.parent) as folder:
         unfinished = folder / path.name
         yield unfinished
         if replace and os.path.lexists(path):
@@ -89,15 +88,9 @@ def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
         unfinished.rename(path)
 
 
-def remove_unfinished_outputs(folder: Path) -> None:
-    """Remove unfinished output of killed processes from `folder`, as far as possible."""
-    with suppress(OSError):
-        remove_abandoned(folder, prefix=_OUTPUT_PREFIX, with_subfolders=True)
-
-
 def has_unfinished_outputs(folder: Path) -> bool:
     """Whether a process is writing output to `folder`, or was killed while doing so; raises OSError."""
-    return any(path.name.startswith(_OUTPUT_PREFIX) for path in folder.iterdir())
+    return any(path.name.startswith(FOLDER_PREFIX) for path in folder.iterdir())
 
 
 def _check_free(path: Path) -> None:

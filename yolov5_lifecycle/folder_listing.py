@@ -36,28 +36,8 @@ class FolderTree:
 
         A subfolder that cannot be listed is left out. Raises OSError beyond MAX_ENTRIES entries.
         """
-        waiting = [os.fspath(folder)]
-        while waiting:
-            for entry in _listed(waiting.pop()):
-                self._listed += 1
-                if self._listed > MAX_ENTRIES:
-                    raise _too_many(folder)
-                if _is_folder(entry):
-                    waiting.append(entry.path)
-                else:
-                    yield Path(entry.path)
-
-
-def _listed(folder: str) -> Iterator[os.DirEntry[str]]:
-    try:
-        with os.scandir(folder) as found:
-            yield from found
-    except OSError:  # like os.walk
-        return
-
-
-def _is_folder(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_dir(follow_symlinks=False)
-    except OSError:
-        return False
+        for parent, folders, names in os.walk(folder):
+            self._listed += len(folders) + len(names)
+            if self._listed > MAX_ENTRIES:
+                raise _too_many(folder)
+            yield from (Path(parent, name) for name in names)

@@ -9,13 +9,13 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
-import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-FOLDER_PREFIX = "yolov5_lifecycle-"
+FOLDER_PREFIX = ".yolov5_lifecycle-unfinished-"
+"""No other folder has such a name: one that is abandoned is removed with all that is in it."""
 _ATTEMPTS = 20
 
 
@@ -46,12 +46,12 @@ def open_itself(path: str | Path, flags: int = os.O_RDONLY) -> int:
 
 
 @contextmanager
-def temporary_folder(parent: Path | None = None, *, prefix: str = FOLDER_PREFIX) -> Iterator[Path]:
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     """A new, locked folder in `parent`, default that of temporary files; removed with its content on exit.
 
     Raises OSError.
     """
-    descriptor, folder = _new_folder(parent, prefix)
+    descriptor, folder = _new_folder(parent)
     try:
         yield folder
     finally:
@@ -59,28 +59,9 @@ def temporary_folder(parent: Path | None = None, *, prefix: str = FOLDER_PREFIX)
         os.close(descriptor)
 
 
-def remove_abandoned_folders() -> None:
-    """Remove folders that `temporary_folder` created in processes that have since been killed."""
-    with suppress(OSError):  # there may be no folder for temporary files
-        remove_abandoned(Path(tempfile.gettempdir()), prefix=FOLDER_PREFIX)
-
-
-def remove_abandoned(folder: Path, *, prefix: str, suffix: str = "", with_subfolders: bool = False) -> None:
-    """Remove unlocked files and folders of this user in `folder` whose names have `prefix` and `suffix`.
-
-    A folder that has subfolders belongs to another program and is kept, unless `with_subfolders`. Does not
-    follow links and skips pipes, devices and anything that cannot be removed. Raises OSError if `folder`
-    cannot be listed.
-    """
-    for path in folder.iterdir():
-        if path.name.startswith(prefix) and path.name.endswith(suffix):
-            with suppress(OSError):
-                _remove_if_abandoned(path, with_subfolders)
-
-
-def _new_folder(parent: Path | None, prefix: str) -> tuple[int, Path]:
+def _new_folder(parent: Path | None) -> tuple[int, Path]:
     for _ in range(_ATTEMPTS):
-        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+        folder = Path(tempfile.mkdtemp(prefix=FOLDER_PREFIX, dir=parent))
         with suppress(FileNotFoundError):  # another process removed it as abandoned before it was locked
             descriptor = open_itself(folder)
             if hold(descriptor, folder):
@@ -91,28 +72,31 @@ def _new_folder(parent: Path | None, prefix: str) -> tuple[int, Path]:
     )
 
 
-def _remove_if_abandoned(path: Path, with_subfolders: bool) -> None:
+def remove_abandoned_folders(parent: Path | None = None) -> None:
+    """Remove folders that `temporary_folder` created in processes that have since been killed."""
+    with suppress(OSError):  # there may be no folder for temporary files
+        remove_abandoned(parent or Path(tempfile.gettempdir()), prefix=FOLDER_PREFIX)
+
+
+def remove_abandoned(folder: Path, *, prefix: str, suffix: str = "") -> None:
+    """Remove unlocked files and folders in `folder` whose names have `prefix` and `suffix`.
+
+    Does not follow links and skips anything that cannot be removed. Raises OSError if `folder` cannot be
+    listed.
+    """
+    for path in folder.iterdir():
+        if path.name.startswith(prefix) and path.name.endswith(suffix):
+            with suppress(OSError):
+                _remove_if_abandoned(path)
+
+
+def _remove_if_abandoned(path: Path) -> None:
     descriptor = open_itself(path)
     try:
-        status = os.fstat(descriptor)
-        is_file_or_folder = stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)
-        if is_file_or_folder and status.st_uid == os.geteuid():
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
-            _remove(path, descriptor, with_subfolders)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
     finally:
         os.close(descriptor)
-
-
-def _remove(path: Path, descriptor: int, with_subfolders: bool) -> None:
-    """Remove a file, or a folder with its files."""
-    if not stat.S_ISDIR(os.fstat(descriptor).st_mode):
-        path.unlink(missing_ok=True)
-        return
-    if with_subfolders:
-        shutil.rmtree(path, ignore_errors=True)  # does not follow links
-        return
-    for name in os.listdir(descriptor):
-        with suppress(OSError):
-            os.unlink(name, dir_fd=descriptor)
-    with suppress(OSError):
-        path.rmdir()

@@ -12,7 +12,7 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import Any
 
-from yolov5_lifecycle.atomic_file import OutputError, has_unfinished_outputs, remove_unfinished_outputs
+from yolov5_lifecycle.atomic_file import OutputError, has_unfinished_outputs
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused, finished_before
 from yolov5_lifecycle.offline.many_recordings.summary import (
@@ -25,7 +25,7 @@ from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import is_utf8
-from yolov5_lifecycle.unfinished import hold, open_itself
+from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned_folders
 
 MAX_DEATHS = 2
 """Workers that may die at one recording, or one in a row while it loads the model."""
@@ -78,7 +78,7 @@ def _output_folder(folder: Path) -> Iterator[None]:
     try:
         if not hold(descriptor, Path(os.path.realpath(folder))):
             raise OutputError(f"{folder}: another detect_bag is writing to it; wait until it has finished.")
-        remove_unfinished_outputs(folder)
+        remove_abandoned_folders(folder)
         try:
             yield
         finally:
@@ -94,7 +94,7 @@ def _remove_unfinished(folder: Path) -> None:
     """Remove what killed workers leave behind, once they are dead: Ray does not say when."""
     deadline_s = time.monotonic() + _END_S
     while has_unfinished_outputs(folder) and time.monotonic() < deadline_s:
-        remove_unfinished_outputs(folder)
+        remove_abandoned_folders(folder)
         time.sleep(_PAUSE_S)
 
 
