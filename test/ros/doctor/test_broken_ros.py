@@ -123,6 +123,14 @@ def test_a_full_dev_shm_is_found(tmp_path: Path) -> None:
     assert finding.remedy.startswith("Give the container more")
 
 
+def test_a_log_in_a_home_that_ros_does_not_know_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    for variable in ("HOME", "ROS_HOME", "ROS_LOG_DIR"):
+        monkeypatch.delenv(variable, raising=False)
+    (finding,) = CHECKS["ros"]["log"](Machine())
+    assert (finding.level, "HOME is not set" in finding.found) == ("error", True)
+    assert "set HOME, or set ROS_LOG_DIR" in finding.remedy
+
+
 def test_a_python_without_ros_is_told_to_source_it(tmp_path: Path) -> None:
     absent = "raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')"
     planted(tmp_path, {"rclpy/__init__.py": absent})

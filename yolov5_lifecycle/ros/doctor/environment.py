@@ -138,6 +138,8 @@ def _shared_memory(machine: Machine) -> Iterator[Finding]:
 def _log(_: Machine) -> Iterator[Finding]:
     home = os.environ.get("ROS_HOME") or "~/.ros"
     try:
+        if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # ROS asks no one else for it
+            raise OSError("HOME is not set")
         folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -145,8 +147,8 @@ def _log(_: Machine) -> Iterator[Finding]:
     except (OSError, RuntimeError) as problem:
         yield error(
             f"the folder of ROS's log cannot be written: {problem}",
-            remedy="Give this user the right to write it, or set ROS_LOG_DIR to another folder: without a "
-            "log, no node starts.",
+            remedy="Give this user the right to write it, set HOME, or set ROS_LOG_DIR to another folder: "
+            "without a log, no node starts.",
         )
 
 
