@@ -25,23 +25,14 @@ DEPTH_ENCODINGS: Mapping[str, tuple[str, float]] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depth along the optical axis for each pixel, as the camera sent it.
-
-    Raises ImageError on construction unless `values` is (H, W) of unsigned 16-bit integers or 32-bit floats
-    with sides in [1, 16384].
-    """
+    """Depth along the optical axis for each pixel, as the camera sent it."""
 
     values: NDArray[Any]
-    """(H, W), possibly a view with padded rows in either byte order; not every value is a measurement."""
-    metres_per_unit: float
+    """(H, W), of uint16 or float32, possibly a view with padded rows in either byte order.
 
-    def __post_init__(self) -> None:
-        shape, dtype = self.values.shape, self.values.dtype
-        if len(shape) != 2 or (dtype.kind, dtype.itemsize) not in (("u", 2), ("f", 4)):
-            raise ImageError(
-                f"Depth must be of shape (H, W), uint16 or float32, found {dtype} of shape {shape}."
-            )
-        check_size(shape[0], shape[1])
+    Not every value is a measurement.
+    """
+    metres_per_unit: float
 
     @property
     def size_hw(self) -> tuple[int, int]:

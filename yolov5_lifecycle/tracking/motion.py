@@ -173,14 +173,15 @@ class Tracks:
 
     def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Tracks:
         """The tracks in `rows`, indices or a mask."""
-        return Tracks(*(column[rows] for column in self._columns))
+        return Tracks(*(column[rows] for column in self.columns))
 
     def followed_by(self, other: Tracks) -> Tracks:
         """These tracks, then those of `other`."""
-        return Tracks(*map(np.concatenate, zip(self._columns, other._columns, strict=True)))
+        return Tracks(*map(np.concatenate, zip(self.columns, other.columns, strict=True)))
 
     @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
+    def columns(self) -> tuple[NDArray[Any], ...]:
+        """All arrays, in the order of the fields."""
         return tuple(getattr(self, field.name) for field in fields(self))
 
 
