@@ -26,6 +26,8 @@ MAX_CHUNKS = 1 << 16
 
 _MARKER = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """FF00 is a data byte, more FF fill up, FFD0 to FFD7 restart the decoder within a scan."""
+_WINDOW_BYTES = 1 << 16
+"""Searched at once, because other threads wait meanwhile."""
 _SOS, _EOI = 0xDA, 0xD9
 _FRAMES = {0xC0, 0xC1, 0xC2}  # baseline, extended sequential, progressive: Huffman-coded
 _SKIPPED = {0xC4, 0xDB, 0xDC, 0xDD, *range(0xE0, 0xF0), 0xFE}  # DHT, DQT, DNL, DRI, APPn, COM
@@ -67,7 +69,7 @@ def jpeg_structure(buffer: NDArray[np.uint8]) -> FileStructure:
     data, position, scans = buffer.data, 2, 0
     frame_hwc = None
     for _ in range(MAX_SEGMENTS):
-        found = _MARKER.search(data, position)
+        found = _next_marker(data, position)
         if found is None or found[1][0] == _EOI:
             break
         marker, position = found[1][0], found.end()
@@ -93,6 +95,13 @@ def jpeg_structure(buffer: NDArray[np.uint8]) -> FileStructure:
             f"this one has {scans} of {height} x {width}. Save it as a baseline JPEG."
         )
     return FileStructure(buffer, (height, width), 8 if components == 1 else None)
+
+
+def _next_marker(data: memoryview, position: int) -> re.Match[bytes] | None:
+    for start in range(position, len(data), _WINDOW_BYTES):
+        if found := _MARKER.search(data, start, start + _WINDOW_BYTES + 1):
+            return found
+    return None
 
 
 def _segment(data: memoryview, position: int, marker: int) -> memoryview:
