@@ -12,13 +12,12 @@ import numpy as np
 
 from fuzz.inputs import Fields
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.byte_tracker import (
     MAX_LATE_S,
-    MAX_TIMEOUT_S,
     MAX_TRACKS,
     STEP_WITHOUT_TIME_S,
     ByteTracker,
-    TrackerSettings,
 )
 from yolov5_lifecycle.tracking.motion import Similarity
 
@@ -68,7 +67,7 @@ class _Camera:
         self._known: dict[int, _Seen] = {}
         self.stamp_s = -math.inf
 
-    def see(self, found: Detections, stamp_s: float, settings: TrackerSettings) -> None:
+    def see(self, found: Detections, stamp_s: float, settings: Settings) -> None:
         """Give `found` to the tracker and judge the ids that it returns."""
         is_late = 0 < self.stamp_s - stamp_s <= MAX_LATE_S
         camera = _camera(len(found)) if settings.track_camera_motion == "auto" else None
@@ -91,7 +90,7 @@ class _Camera:
             seen.unseen_s += step_s
         self._known = {name: seen for name, seen in self._known.items() if seen.unseen_s <= timeout_s}
 
-    def _judge(self, ids: Sequence[str], found: Detections, settings: TrackerSettings) -> None:
+    def _judge(self, ids: Sequence[str], found: Detections, settings: Settings) -> None:
         given = [int(name) for name in ids if name]
         assert len(set(given)) == len(given), "two objects of one image have the same id"
         rows = zip(ids, found.class_ids.tolist(), found.scores, strict=True)
@@ -107,13 +106,13 @@ class _Camera:
         self._used.update(given)
 
 
-def _settings(fields: Fields) -> TrackerSettings:
+def _settings(fields: Fields) -> Settings:
     high, low, match, timeout, across = fields.unpack(_SETTINGS)
-    return TrackerSettings(
+    return Settings(
         track_high_threshold=high / 255,
         track_low_threshold=high / 255 * (low / 255),
         track_match_threshold=max(match / 255, 0.01),
-        track_timeout=MAX_TIMEOUT_S * (timeout + 1) / 256,
+        track_timeout=60.0 * (timeout + 1) / 256,
         track_across_classes=bool(across & 1),
         track_camera_motion="auto" if across & 2 else "off",
     )

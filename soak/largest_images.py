@@ -16,8 +16,8 @@ from support.detector_process import SCENE
 from soak.finding import Finding
 from soak.subject import Sender, Subject
 from yolov5_lifecycle.images.compressed import encode_jpeg
+from yolov5_lifecycle.images.file_structure import MAX_SCANNED_PX, MAX_SCANS
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.images.jpeg_structure import MAX_SCANNED_PX, MAX_SCANS
 
 LARGEST_SIDE_PX = 8192
 _MB_PER_MPX = 13  # coefficients of four components, the image and a copy of it

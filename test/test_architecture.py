@@ -48,11 +48,11 @@ RANKS = (
 )
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
 ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "demo": 3, "doctor": 4}
-# What a user starts, and what makes a detector, a selection or a tracker from settings.
+# What a user starts, and what makes a detector or a selection from settings, or is a tracker with them.
 EDGE = (
     *("settings.", "commands.", "offline.", "ros."),
     *("detection.prepared_model", "detection.python_api", "detection.selection"),
-    *("tracking.tracked_detection", "collecting.triggers"),
+    *("tracking.tracked_detection", "tracking.byte_tracker", "collecting.triggers"),
 )
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 

@@ -17,11 +17,12 @@ from benchmark.tracking.figures import JudgedFrame, TrackCounts, track_counts
 from benchmark.tracking.film import Film
 from benchmark.tracking.recording import Detect, RecordedFrame, recorded, simulated
 from benchmark.tracking.scenes import SCENES, TrackScene
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 
 RATES_HZ = (5.0, 10.0, 30.0)
-SETTINGS = TrackerSettings()
+SETTINGS = Settings()
 Scenes = Mapping[str, Callable[[np.random.Generator], TrackScene]]
 Ids = list[tuple[str, ...]]
 """Of each detection of each frame."""
@@ -65,7 +66,7 @@ def _cases(
 
 
 def own_ids(
-    frames: Iterable[RecordedFrame], settings: TrackerSettings = SETTINGS, *, with_camera: bool = True
+    frames: Iterable[RecordedFrame], settings: Settings = SETTINGS, *, with_camera: bool = True
 ) -> Ids:
     """The ids that the tracker gives, with or without the motion of the camera."""
     tracker = ByteTracker(itertools.count(1))

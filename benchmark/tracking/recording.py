@@ -175,5 +175,5 @@ def _after_nms(
     order = np.argsort(-clipped, kind="stable")
     order = order[clipped[order] > MIN_SCORE]
     boxes_xyxy, clipped, class_ids = boxes_xyxy[order], clipped[order], class_ids[order]
-    kept = suppress(boxes_xyxy, clipped, groups=class_ids, iou_threshold=0.45, limit=1000)
+    kept = suppress(boxes_xyxy, groups=class_ids, iou_threshold=0.45, limit=1000)
     return Detections(boxes_xyxy[kept], clipped[kept], class_ids[kept])

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import (
-    IGNORED_BRIGHTNESS,
     MAX_DRAWN,
+    REGION_OPACITY,
     annotate,
     class_colour,
     printable,
@@ -240,11 +240,12 @@ def test_the_outline_of_a_region_is_visible_on_any_ground_and_faint(level: int) 
     assert (inside == level).all()
 
 
-def test_an_ignored_region_is_dark_and_hatched() -> None:
-    pixels = drawn(plain(200), BoxFilter(ignore_regions=(MIDDLE,))).astype(int)
-    inside = pixels[SIDE // 3 : 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]
-    assert np.median(inside) == pytest.approx(200 * IGNORED_BRIGHTNESS, abs=1)
-    assert inside.max() > 140
+def test_ignored_regions_are_dark_also_where_they_overlap() -> None:
+    other = Region.parse("0.4,0.4 0.9,0.4 0.9,0.6 0.4,0.6")
+    pixels = drawn(plain(200), BoxFilter(ignore_regions=(MIDDLE, other))).astype(int)
+    darkened = 200 * (1 - REGION_OPACITY)
+    assert np.median(pixels[SIDE // 3 : 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]) == darkened
+    assert (pixels[SIDE // 2, [SIDE // 2, SIDE * 7 // 8]] == darkened).all()
     assert (pixels[: SIDE // 5] == 200).all()
 
 

@@ -207,10 +207,9 @@ def test_a_limit_gives_the_beginning_of_what_no_limit_gives(seed: int, places: i
         0, 4, (count, 2)
     )
     boxes_xyxy = np.concatenate((corners, corners + 10), axis=1).astype(np.float32)
-    scores = np.sort(rng.random(count, np.float32))[::-1] + np.float32(0.01)
     groups = rng.integers(0, 5, count)
-    everything = suppress(boxes_xyxy, scores, groups=groups, iou_threshold=0.45, limit=count)
-    kept = suppress(boxes_xyxy, scores, groups=groups, iou_threshold=0.45, limit=limit)
+    everything = suppress(boxes_xyxy, groups=groups, iou_threshold=0.45, limit=count)
+    kept = suppress(boxes_xyxy, groups=groups, iou_threshold=0.45, limit=limit)
     np.testing.assert_array_equal(kept, everything[:limit])
 
 
@@ -221,7 +220,6 @@ def test_a_high_class_id_does_not_blur_the_boxes(shift_px: float) -> None:
     for iou_threshold, kept in ((iou - 1e-5, [0, 1]), (iou + 1e-5, [0, 1, 2])):
         indices = suppress(
             boxes_xyxy,
-            np.array([0.9, 0.8, 0.7], np.float32),
             groups=np.array([9_999, 9_998, 9_999]),
             iou_threshold=iou_threshold,
             limit=9,

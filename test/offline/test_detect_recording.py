@@ -48,7 +48,7 @@ from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
@@ -209,7 +209,7 @@ def detector() -> Detector:
 
 def tracked() -> list[Detections]:
     """What the node finds in the images of the recording, with a tracker."""
-    tracking = TrackedDetection(ByteTracker(itertools.count(1)), TrackerSettings())
+    tracking = TrackedDetection(ByteTracker(itertools.count(1)), Settings())
     chosen = selection(SETTINGS, detector().class_names)
     return [tracking.detect(detector(), scene(number), chosen, stamp_s(number)) for number in range(COUNT)]
 

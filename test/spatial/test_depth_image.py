@@ -69,7 +69,7 @@ def test_every_encoding_and_byte_order_gives_the_same_metres(
         encoding=encoding,
         height=height,
         width=width,
-        step=width * DEPTH_ENCODINGS[encoding].bytes + padding,
+        step=width * np.dtype(DEPTH_ENCODINGS[encoding][0]).itemsize + padding,
         is_bigendian=is_bigendian,
     )
     assert depth.size_hw == (height, width)

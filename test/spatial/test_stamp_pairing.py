@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import pytest
@@ -81,6 +80,7 @@ def test_a_slow_detection_keeps_the_depth_image_of_its_beginning(
         depths.add(stamp_ms * MS, f"at {stamp_ms}")
     assert item(depths.pair(100 * MS)) in ("at 100", "at 103")
     depths.expect(1990 * MS)
+    depths.add(2000 * MS, "at 2000")
     assert depths.pair(100 * MS) is Unpaired.PASSED
 
 
@@ -89,12 +89,6 @@ def test_time_that_jumps_back_drops_what_was_before(stamp_ms: int) -> None:
     depths = pairing(33, 66, 99, stamp_ms)
     assert item(depths.pair(stamp_ms * MS)) == f"at {stamp_ms}"
     assert isinstance(depths.pair(66 * MS), Unpaired)
-
-
-@pytest.mark.parametrize("slop_s", [-0.1, math.nan, math.inf])
-def test_a_slop_that_is_no_duration_is_refused(slop_s: float) -> None:
-    with pytest.raises(ValueError, match="finite number of seconds >= 0"):
-        DepthPairing[str](slop_s)
 
 
 @given(stamps=st.lists(st.integers(0, 2**40)), colour=st.integers(0, 2**40), slop_ms=st.integers(0, 10**6))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,16 +14,16 @@ from support.colcon_workspace import REPOSITORY
 from support.pages import blocks
 
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.byte_tracker import (
     MAX_DETECTIONS,
     MAX_LATE_S,
     MAX_TRACKS,
     ByteTracker,
     StampCounts,
-    TrackerSettings,
 )
 
-SETTINGS = TrackerSettings()
+SETTINGS = Settings()
 START_S = 1.7e9
 HIGH, LOW = 0.8, 0.15
 CLASS = 3
@@ -47,7 +45,7 @@ def one(x: float, score: float = HIGH, class_id: int = CLASS) -> Detections:
 class Camera:
     """A tracker and its clock."""
 
-    def __init__(self, ids: Iterable[int] | None = None, settings: TrackerSettings = SETTINGS) -> None:
+    def __init__(self, ids: Iterable[int] | None = None, settings: Settings = SETTINGS) -> None:
         self.counts = StampCounts()
         self.tracker = ByteTracker(iter(ids) if ids is not None else itertools.count(1), self.counts)
         self.settings = settings
@@ -127,13 +125,13 @@ def test_objects_of_two_classes_in_one_place_keep_their_ids(camera: Camera) -> N
 def test_a_class_that_changes_continues_the_track_only_across_classes(
     following: Camera, across: bool, expected: str
 ) -> None:
-    following.settings = replace(SETTINGS, track_across_classes=across)
+    following.settings = Settings(track_across_classes=across)
     assert following.sees(one(100, class_id=CLASS + 1)) == (expected,)
 
 
 @pytest.mark.parametrize("step_s", [0.03, 0.1, 0.2], ids=["33 Hz", "10 Hz", "5 Hz"])
 def test_a_lost_track_is_kept_by_time_and_not_by_images(following: Camera, step_s: float) -> None:
-    following.settings = replace(SETTINGS, track_timeout=1.01)  # no multiple of a step
+    following.settings = Settings(track_timeout=1.01)  # no multiple of a step
     for _ in range(int(1.01 / step_s)):
         following.sees(found(), step_s)
         assert len(following.tracker) == 1
@@ -240,7 +238,7 @@ def test_detections_beyond_the_highest_scores_have_no_tracks(camera: Camera) -> 
 
 def test_of_too_many_tracks_those_seen_last_are_kept(camera: Camera) -> None:
     """Three crowds one after the other, each as large as an image may have, none where another was."""
-    camera.settings = replace(SETTINGS, track_timeout=60.0)
+    camera.settings = Settings(track_timeout=60.0)
     crowds = [
         found(
             *(
@@ -298,28 +296,3 @@ def test_an_id_belongs_to_one_class_and_is_never_used_again(
 def test_the_example_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(blocks(REPOSITORY / "docs" / "tracking.md", "python")[0], {})
     assert capsys.readouterr().out == "('',)\n('1',)\n('1',)\n"
-
-
-NAN = float("nan")
-
-
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        pytest.param(
-            {"track_high_threshold": 1.1}, r"track_high_threshold must be in \[0, 1\], found 1.1", id="high"
-        ),
-        pytest.param(
-            {"track_low_threshold": 0.3}, r"to track_high_threshold \(0.25\), found 0.3", id="low above high"
-        ),
-        pytest.param({"track_match_threshold": 0.0}, r"must be in \(0, 1\], found 0.0", id="match"),
-        pytest.param({"track_timeout": 0.0}, "at most 60 seconds, found 0.0", id="no timeout"),
-        pytest.param(
-            {"track_camera_motion": "on"}, "must be 'auto' or 'off', found 'on'", id="camera motion"
-        ),
-        pytest.param({"track_timeout": NAN}, "found nan", id="timeout is no number"),
-    ],
-)
-def test_a_value_out_of_range_is_refused(values: dict[str, Any], expected: str) -> None:
-    with pytest.raises(ValueError, match=expected):
-        TrackerSettings(**values)

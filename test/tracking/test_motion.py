@@ -16,7 +16,7 @@ from yolov5_lifecycle.tracking.motion import (
     ACCELERATION_DENSITY,
     SAME_ERROR_S,
     START_SPEED_STD,
-    Motion,
+    Tracks,
     measurement_std,
     xyxy_to_cxcywh,
 )
@@ -29,6 +29,10 @@ scores = st.floats(0, 1).map(lambda score: np.array([score]))
 boxes = st.tuples(st.floats(-500, 1000), st.floats(-500, 1000), st.floats(1, 600), st.floats(1, 600)).map(
     lambda box: np.array([[box[0], box[1], box[0] + box[2], box[1] + box[3]]])
 )
+
+
+def started(boxes_xyxy: NDArray[np.floating], scores: Array) -> Tracks:
+    return Tracks.started(boxes_xyxy, scores, np.zeros(len(scores), np.int64))
 
 
 @dataclasses.dataclass
@@ -67,7 +71,7 @@ def size_of(position: Array) -> float:
 def test_the_elementwise_filter_is_the_one_with_matrices(
     box: Array, score: Array, steps: list[tuple[float, Array, Array]]
 ) -> None:
-    motion = Motion.started(box, score)
+    motion = started(box, score)
     start = xyxy_to_cxcywh(box)
     std = float(measurement_std(start, score, SAME_ERROR_S)[0, 0])
     filters = [
@@ -95,7 +99,7 @@ def test_the_elementwise_filter_is_the_one_with_matrices(
 
 
 def test_a_box_that_shrinks_becomes_empty_and_not_inverted() -> None:
-    motion = Motion.started(np.array([[0.0, 0.0, 100.0, 100.0]]), SURE)
+    motion = started(np.array([[0.0, 0.0, 100.0, 100.0]]), SURE)
     for side in (80.0, 60.0, 40.0):
         motion = motion.predicted(0.1).corrected(np.array([[0.0, 0.0, side, side]]), SURE, 0.1)
     x1, y1, x2, y2 = motion.predicted(5.0).boxes_xyxy[0]
@@ -107,17 +111,17 @@ def test_a_box_that_shrinks_becomes_empty_and_not_inverted() -> None:
 @pytest.mark.parametrize("score", [np.zeros(1), np.ones(1)], ids=["doubted", "sure"])
 def test_estimates_stay_finite(side: float, step_s: float, score: Array) -> None:
     box = np.array([[-side, -side, side, side]], np.float32)
-    motion = Motion.started(box, score)
+    motion = started(box, score)
     for _ in range(50):
         motion = motion.predicted(step_s).corrected(box, score, step_s)
-    assert all(np.isfinite(values).all() for values in motion.arrays)
+    assert all(np.isfinite(values).all() for values in vars(motion).values())
     assert (motion.variance > 0).all()
     assert (motion.velocity_variance >= 0).all()
 
 
 def test_a_camera_that_turns_turns_places_and_velocities() -> None:
     quarter = np.array(((0.0, -2, 30), (2, 0, 40)))  # and doubles all sizes
-    motion = Motion.started(np.array([[0.0, 0.0, 10.0, 20.0]]), SURE).predicted(0.1)
+    motion = started(np.array([[0.0, 0.0, 10.0, 20.0]]), SURE).predicted(0.1)
     motion = motion.corrected(np.array([[2.0, 0.0, 12.0, 20.0]]), SURE, 0.1)
     seen = motion.seen_from(quarter, np.array((1.0, 2.0)))
     x, y, width, height = motion.position[0]

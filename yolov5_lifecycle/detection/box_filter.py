@@ -38,9 +38,9 @@ class BoxFilter:
             counts &= longer_px <= _pixels(self.max_box_size, size_hw)
         anchors_xy = self._anchors_xy(boxes_xyxy) / (size_hw[1], size_hw[0])
         if self.regions:
-            counts &= _in_any(self.regions, anchors_xy)
-        if self.ignore_regions:
-            counts &= ~_in_any(self.ignore_regions, anchors_xy)
+            counts &= np.any([region.contains(anchors_xy) for region in self.regions], axis=0)
+        for region in self.ignore_regions:
+            counts &= ~region.contains(anchors_xy)
         return counts
 
     def _anchors_xy(self, boxes_xyxy: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -55,10 +55,3 @@ class BoxFilter:
 def _pixels(size: float, size_hw: tuple[int, int]) -> np.float32:
     """A size as a number of pixels."""
     return np.float32(size if size > 1 else size * max(size_hw))
-
-
-def _in_any(regions: tuple[Region, ...], points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-    inside = np.zeros(len(points_xy), np.bool_)
-    for region in regions:
-        inside |= region.contains(points_xy)
-    return inside

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,7 +60,7 @@ class Detector:
         self.cost = cost
         self.fixed_hw = fixed_hw
         self.selection = Selection()
-        self._in_use = threading.RLock()
+        self.in_use = threading.RLock()
 
     def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
         """Detections in an image (H, W, 3) of dtype uint8, as cv2.imread returns it; see `detect`.
@@ -76,7 +77,7 @@ class Detector:
         letterbox = self._letterbox(image.size_hw)
         pixels, order = image.as_sent
         frame = letterbox.apply(pixels)
-        with self._in_use:
+        with self.in_use:
             raw = self.runtime(frame, order, selection.min_objectness)
             return self._detections(raw, letterbox, selection)
 
@@ -123,32 +124,20 @@ class Detector:
         for network_hw in dict.fromkeys(map(self.network_hw, sizes_hw)):
             grey = np.full((*network_hw, 3), PADDING_VALUE, np.uint8)
             for _ in range(2):
-                self._run_once(grey)
-
-    def _run_once(self, pixels: NDArray[np.uint8]) -> None:
-        """Run the network, and free its predictions: beside those of another run they would count twice."""
-        predictions = self.runtime(pixels, "rgb", Selection().min_objectness)
-        self._check(predictions.rows)
-        if predictions.compute_prototypes is not None:
-            predictions.compute_prototypes()
+                predictions = self.runtime(grey, "rgb", Selection().min_objectness)
+                self._check(predictions.rows)
+                if predictions.compute_prototypes is not None:
+                    predictions.compute_prototypes()
+                del predictions  # beside those of another run they would take their memory twice
 
     def lanes(self, count: int, threads: int) -> tuple[Detector, ...]:
         """Detectors of the same network for `count` threads at the same time; see `Runtime.lanes`."""
         return tuple(map(self._with, self.runtime.lanes(count, threads)))
 
     def _with(self, runtime: Runtime) -> Detector:
-        lane = Detector(
-            runtime,
-            class_names=self.class_names,
-            image_size=self.image_size,
-            stride=self.stride,
-            choice=self.choice,
-            mask_coefficients=self.mask_coefficients,
-            cost=self.cost,
-            fixed_hw=self.fixed_hw,
-        )
-        lane.selection = self.selection
-        return lane
+        other = copy(self)
+        other.runtime, other.in_use = runtime, threading.RLock()
+        return other
 
     def close(self) -> None:
         """Free the network. Idempotent."""

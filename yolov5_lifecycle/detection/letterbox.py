@@ -33,29 +33,16 @@ class Letterbox:
 
         The shorter side is padded to the next multiple of `stride`.
         Rounds like YOLOv5 with `auto=True, scaleup=True`, but with a minimum of one pixel per side.
-
-        Raises ValueError when a side is not positive or `image_size` is not a positive multiple.
         """
-        if min(source_hw) < 1:
-            raise ValueError(f"The sides of an image must be at least 1 pixel, found {source_hw}.")
-        if image_size < 1 or image_size % stride:
-            raise ValueError(f"The image size must be a positive multiple of {stride}, found {image_size}.")
-        scale = image_size / max(source_hw)
-        height, width = (max(round(side * scale), 1) for side in source_hw)
+        height, width = resized_hw = _scaled(source_hw, image_size / max(source_hw))
         network_hw = (height + (image_size - height) % stride, width + (image_size - width) % stride)
-        return cls._centred(source_hw, network_hw, (height, width))
+        return cls._centred(source_hw, network_hw, resized_hw)
 
     @classmethod
     def into(cls, source_hw: tuple[int, int], network_hw: tuple[int, int]) -> Letterbox:
-        """Scale an image up or down so that it just fits into `network_hw`, of which the rest is padded.
-
-        Raises ValueError when a side is not positive.
-        """
-        if min(source_hw) < 1:
-            raise ValueError(f"The sides of an image must be at least 1 pixel, found {source_hw}.")
+        """Scale an image up or down so that it just fits into `network_hw`, of which the rest is padded."""
         scale = min(side / source for side, source in zip(network_hw, source_hw, strict=True))
-        height, width = (max(round(side * scale), 1) for side in source_hw)
-        return cls._centred(source_hw, network_hw, (height, width))
+        return cls._centred(source_hw, network_hw, _scaled(source_hw, scale))
 
     @classmethod
     def _centred(
@@ -67,10 +54,7 @@ class Letterbox:
 
     def apply(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Image (H, W, 3) or (H, W) -> network input (h, w, 3) or (h, w), uint8 in any order of channels."""
-        channels = pixels.shape[2:]
-        if pixels.shape != (*self.source_hw, *channels) or channels not in ((), (3,)):
-            raise ValueError(f"Expected pixels of shape {(*self.source_hw, 3)}, found {pixels.shape}.")
-        frame = np.full((*self.network_hw, *channels), PADDING_VALUE, np.uint8)
+        frame = np.full((*self.network_hw, *pixels.shape[2:]), PADDING_VALUE, np.uint8)
         height, width = self.resized_hw
         inner = frame[self.top : self.top + height, self.left : self.left + width]
         # OpenCV copies when the size is unchanged.
@@ -84,3 +68,8 @@ class Letterbox:
         origin = np.array((self.left, self.top) * 2, np.float32)
         boxes = (boxes_xyxy - origin) * (source_wh / resized_wh)
         return np.clip(boxes, 0, source_wh)
+
+
+def _scaled(size_hw: tuple[int, int], scale: float) -> tuple[int, int]:
+    height, width = (max(round(side * scale), 1) for side in size_hw)
+    return height, width

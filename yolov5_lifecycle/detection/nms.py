@@ -101,21 +101,19 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
     not count suppress others, but take no place among `max_detections`.
     Raises ValueError when a box or score above the threshold is infinite, or a box is NaN.
     """
-    found = _by_priority(_scored(raw, selection.min_score, selection.classes), selection)
+    found = _in_order(_scored(raw, selection.min_score, selection.classes), selection)
     boxes_xyxy = cxcywh_to_xyxy(raw[found.rows, :4])
     if not np.isfinite(boxes_xyxy).all():
         raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
     counted = None if counts is None else counts(boxes_xyxy)
     kept = suppress(
         boxes_xyxy,
-        found.priorities,
         groups=np.zeros_like(found.class_ids) if selection.agnostic_nms else found.class_ids,
         iou_threshold=selection.iou_threshold,
         limit=selection.max_detections,
         counted=counted,
     )
-    if found.priorities is not found.scores:
-        kept = kept[np.argsort(-found.scores[kept], kind="stable")]
+    kept = kept[np.argsort(-found.scores[kept], kind="stable")]
     return Selected(
         boxes_xyxy[kept],
         found.scores[kept],
@@ -148,13 +146,9 @@ class _Candidates(NamedTuple):
     rows: NDArray[np.int64]
     scores: NDArray[np.float32]
     class_ids: NDArray[np.int64]
-    priorities: NDArray[np.float32]
-    """NMS takes the highest first: the scores, unless `_by_priority` raises some."""
 
     def at(self, chosen: NDArray[np.int64] | NDArray[np.bool_]) -> _Candidates:
-        scores = self.scores[chosen]
-        priorities = scores if self.priorities is self.scores else self.priorities[chosen]
-        return _Candidates(self.rows[chosen], scores, self.class_ids[chosen], priorities)
+        return _Candidates(self.rows[chosen], self.scores[chosen], self.class_ids[chosen])
 
 
 def _scored(raw: NDArray[np.float32], threshold: float, classes: frozenset[int] | None) -> _Candidates:
@@ -166,10 +160,10 @@ def _scored(raw: NDArray[np.float32], threshold: float, classes: frozenset[int] 
     wanted = scores > threshold
     if classes is not None:
         wanted &= np.isin(class_ids, list(classes))
-    return _Candidates(rows, scores, class_ids, scores).at(wanted)
+    return _Candidates(rows, scores, class_ids).at(wanted)
 
 
-def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
+def _in_order(found: _Candidates, selection: Selection) -> _Candidates:
     """The MAX_CANDIDATES that go first in NMS, in this order, of those that `selection` needs.
 
     With thresholds of classes and a tracker at the same time, those that are published go first: a higher
@@ -180,9 +174,8 @@ def _by_priority(found: _Candidates, selection: Selection) -> _Candidates:
     is_wanted = is_admitted = selection.admits(found.scores, found.class_ids)
     if selection.extra_threshold is not None:
         is_wanted = is_admitted | (found.scores > selection.extra_threshold)
-        found = found._replace(priorities=found.scores + is_admitted.astype(np.float32))
-    found = found.at(is_wanted)
-    return found.at(np.lexsort((-found.scores, -found.priorities))[:MAX_CANDIDATES])
+    found, is_admitted = found.at(is_wanted), is_admitted[is_wanted]
+    return found.at(np.lexsort((-found.scores, ~is_admitted))[:MAX_CANDIDATES])
 
 
 def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts | None) -> float:
@@ -206,27 +199,28 @@ def _best_filtered(dropped: _Candidates, selection: Selection) -> float:
 
 def suppress(
     boxes_xyxy: NDArray[np.float32],
-    scores: NDArray[np.float32],
     *,
     groups: NDArray[np.int64],
     iou_threshold: float,
     limit: int,
     counted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int64]:
-    """Greedy NMS: indices of at most `limit` kept boxes, highest score first.
+    """Greedy NMS: indices of at most `limit` kept boxes, best first.
 
-    A box is dropped when its IoU with a kept, higher-scoring box of its group is above the threshold. Boxes
-    (n, 4) are sorted by descending score, with `scores` > 0. Only those that are `counted` are returned.
+    A box is dropped when its IoU with a kept, better box of its group is above the threshold. Boxes (n, 4)
+    are in order, the best first. Only those that are `counted` are returned.
     """
     boxes_xywh = _apart(boxes_xyxy, groups)
-    # The boxes kept from the top scores are a prefix of those kept from all, so the tail can be skipped once
+    # The boxes kept from the best are a prefix of those kept from all, so the tail can be skipped once
     # `limit` are kept: of 25,200 boxes with little overlap the first 1,000 took 0.05 s, all 2.6 to 5 s.
     count = max(2 * limit, 1000)
-    kept = _nms(boxes_xywh[:count], scores[:count], iou_threshold, counted)
-    while len(kept) < limit and count < len(scores):
+    while True:
+        kept = _nms(boxes_xywh[:count], iou_threshold)
+        if counted is not None:
+            kept = kept[counted[kept]]
+        if len(kept) >= limit or count >= len(boxes_xywh):
+            return kept[:limit]
         count *= 2
-        kept = _nms(boxes_xywh[:count], scores[:count], iou_threshold, counted)
-    return kept[:limit]
 
 
 def _apart(boxes_xyxy: NDArray[np.float32], groups: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -238,13 +232,8 @@ def _apart(boxes_xyxy: NDArray[np.float32], groups: NDArray[np.int64]) -> NDArra
     return boxes
 
 
-def _nms(
-    boxes_xywh: NDArray[np.float64],
-    scores: NDArray[np.float32],
-    iou_threshold: float,
-    counted: NDArray[np.bool_] | None,
-) -> NDArray[np.int64]:
+def _nms(boxes_xywh: NDArray[np.float64], iou_threshold: float) -> NDArray[np.int64]:
+    ranks = np.arange(len(boxes_xywh), 0, -1, dtype=np.float32)  # scores, of which only the order counts
     # A list, because OpenCV reads an array three times slower. OpenCV 4.6 has no NMSBoxesBatched.
-    kept = cv2.dnn.NMSBoxes(boxes_xywh.tolist(), scores, 0.0, iou_threshold)
-    indices = np.asarray(kept, np.int64).reshape(-1)  # an empty tuple when no box is kept
-    return indices if counted is None else indices[counted[indices]]
+    kept = cv2.dnn.NMSBoxes(boxes_xywh.tolist(), ranks, 0.0, iou_threshold)
+    return np.asarray(kept, np.int64).reshape(-1)  # an empty tuple when no box is kept

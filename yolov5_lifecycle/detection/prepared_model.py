@@ -13,7 +13,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.input_file import resolve_package
-from yolov5_lifecycle.models.cost import Cost, check_memory
+from yolov5_lifecycle.models.cost import check_memory
 from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.quantization.calibration_file import find_quantization
@@ -98,7 +98,8 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
     )
     try:
         _warm_up(detector, sizes_hw)
-        lanes = _lanes(detector, sizes_hw, settings)
+        is_asked = settings.parallel_frames > 0
+        lanes = choose_lanes(detector, sizes_hw, most=most_lanes(settings), is_asked=is_asked)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
@@ -116,8 +117,8 @@ def _quantization(weights: WeightsFile, settings: Settings) -> Quantization | No
 def _warm_up(detector: Detector, sizes_hw: Sequence[tuple[int, int]]) -> None:
     """Warm up for one size of network input after the other, each only if it still fits into the memory."""
     for size_hw in {detector.network_hw(size_hw): size_hw for size_hw in sizes_hw}.values():
-        if (cost := _cost_in_memory(detector)) is not None:
-            check_memory(cost, cost.activation_bytes)
+        if detector.cost is not None and detector.runtime.device == "cpu":  # a GPU checks its own memory
+            check_memory(detector.cost, detector.cost.activation_bytes)
         detector.warm_up([size_hw])
 
 
@@ -125,17 +126,6 @@ def most_lanes(settings: Settings) -> int:
     """How many frames at most are in progress at the same time with `settings` on this machine."""
     wanted = settings.parallel_frames or MAX_PARALLEL_FRAMES
     return min(wanted, len(settings.camera_names), processors())
-
-
-def _lanes(detector: Detector, sizes_hw: Sequence[tuple[int, int]], settings: Settings) -> Lanes:
-    """See `choose_lanes`."""
-    is_asked = settings.parallel_frames > 0
-    return choose_lanes(detector, sizes_hw, most=most_lanes(settings), is_asked=is_asked)
-
-
-def _cost_in_memory(detector: Detector) -> Cost | None:
-    """The cost of `detector` in the memory of this machine; None on a GPU, which checks its own."""
-    return detector.cost if detector.runtime.device == "cpu" else None
 
 
 def weights_path(settings: Settings) -> Path:

@@ -17,41 +17,29 @@ from yolov5_lifecycle.settings.value_rules import class_threshold, classes_of_re
 
 MAX_EXPLAINED = 3
 """Number of unknown entries that are explained; the rest are only counted."""
-_MAX_INDEX_DIGITS = 9
 _SHOWN_CLASSES = 8
 _MAX_SHOWN = 60
 
 
 def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Problem]:
     """Problems of `settings` and of the overrides for cameras with a loaded model that has `class_names`."""
-    filters = {name: getattr(settings, name) for name in _MODEL_DEPENDENT}
-    for camera in settings.camera_names:
-        own = settings.for_camera(camera)
-        filters |= {
-            f"{camera}{SEPARATOR}{name}": getattr(own, name)
-            for name in _MODEL_DEPENDENT
-            if getattr(own, name) != getattr(settings, name)
-        }
-    reasons = {name: _class_problem(name, entries, class_names) for name, entries in filters.items()}
-    return [Problem(name, reason) for name, reason in reasons.items() if reason]
-
-
-def _class_problem(name: str, entries: Sequence[str], class_names: Sequence[str]) -> str:
-    try:
-        _MODEL_DEPENDENT[_setting_of(name)](entries, class_names)
-    except ValueError as error:
-        return str(error)
-    return ""
+    problems = []
+    of_cameras = {f"{camera}{SEPARATOR}": settings.for_camera(camera) for camera in settings.camera_names}
+    for prefix, own in {"": settings, **of_cameras}.items():
+        for name, resolve in _MODEL_DEPENDENT.items():
+            entries = getattr(own, name)
+            if prefix and entries == getattr(settings, name):
+                continue
+            try:
+                resolve(entries, class_names)
+            except ValueError as error:
+                problems.append(Problem(prefix + name, str(error)))
+    return problems
 
 
 def depends_on_model(name: str) -> bool:
     """Whether the loaded model decides if a value of `name`, a setting or an override of one, is valid."""
-    return _setting_of(name) in _MODEL_DEPENDENT
-
-
-def _setting_of(name: str) -> str:
-    """The setting that `name` is or overrides."""
-    return name.rpartition(SEPARATOR)[2]
+    return name.rpartition(SEPARATOR)[2] in _MODEL_DEPENDENT
 
 
 def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
@@ -112,11 +100,14 @@ def class_thresholds(entries: Sequence[str], class_names: Sequence[str]) -> tupl
 
 def _ids_by_entry(entries: Sequence[str], class_names: Sequence[str]) -> dict[str, list[int]]:
     """The class ids of each of `entries`, names or indices; raises ValueError."""
+    ids_by_index = {str(class_id): [class_id] for class_id in range(len(class_names))}
     ids_by_name: defaultdict[str, list[int]] = defaultdict(list)
     for class_id, name in enumerate(class_names):
         ids_by_name[name].append(class_id)
     found = {
-        entry: ids_by_name.get(entry) or ids_by_name.get(_safe(entry)) or _index(entry, len(class_names))
+        entry: ids_by_name.get(entry)
+        or ids_by_name.get(_safe(entry))
+        or ids_by_index.get(entry and (entry.lstrip("0") or "0"), [])
         for entry in entries
     }
     if unknown := [entry for entry, ids in found.items() if not ids]:
@@ -140,18 +131,6 @@ _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]]
 """By setting: the function that resolves it with the class names, or raises ValueError."""
 
 
-def _index(entry: str, count: int) -> list[int]:
-    """`entry` as a list of one class index; empty unless it is a decimal integer below `count`."""
-    digits = entry.lstrip("0") or "0"
-    if not _is_decimal(entry) or len(digits) > _MAX_INDEX_DIGITS or int(digits) >= count:
-        return []
-    return [int(digits)]
-
-
-def _is_decimal(entry: str) -> bool:
-    return entry.isascii() and entry.isdigit()
-
-
 def _explanation(unknown: Sequence[str], class_names: Sequence[str]) -> str:
     explained = [_explain(entry, class_names) for entry in unknown[:MAX_EXPLAINED]]
     if (rest := len(unknown) - MAX_EXPLAINED) > 0:
@@ -161,7 +140,7 @@ def _explanation(unknown: Sequence[str], class_names: Sequence[str]) -> str:
 
 def _explain(entry: str, class_names: Sequence[str]) -> str:
     count = len(class_names)
-    if _is_decimal(entry):
+    if entry.isascii() and entry.isdigit():
         return (
             f"Class index {_shown(entry)} is out of range: the model has {count} classes, 0 to {count - 1}."
         )
@@ -170,5 +149,4 @@ def _explain(entry: str, class_names: Sequence[str]) -> str:
 
 
 def _shown(text: str) -> str:
-    """`text` on one line, truncated."""
-    return in_one_line(text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "...")
+    return in_one_line(text, _MAX_SHOWN)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
@@ -12,10 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded, layout_of
+from yolov5_lifecycle.images.file_structure import (
+    FileStructure,
+    is_jpeg,
+    is_png,
+    jpeg_structure,
+    png_structure,
+)
 from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_frame_id, check_size
-from yolov5_lifecycle.images.jpeg_structure import is_jpeg, jpeg_shape_hwc
-from yolov5_lifecycle.images.png_structure import is_png, png_structure
-from yolov5_lifecycle.images.tiff_structure import is_tiff, tiff_size_hw
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
 JPEG_QUALITY = 80
@@ -27,6 +30,7 @@ _VALUES = re.compile("bayer_|mono16|8SC|(16|32|64)[USF]C")
 _BOUNDED_BY_OPENCV = re.compile(rb"BM|RIFF....WEBP", re.DOTALL)
 """Beginnings of BMP and WebP files. OpenCV reads more, whose cost nobody has counted."""
 
+_NOT_AS_JPEG = "which sends nothing where it cannot make a JPEG"
 _SET_PNG = "Set the parameter `compressed.format` of the publisher to png if it is image_transport's"
 
 
@@ -50,42 +54,35 @@ def decode_compressed(data: Any, *, format_text: str = "") -> ColourImage:
     EXIF rotation is ignored: pixels are returned as stored.
 
     Raises ImageError for another format, a file that cannot hold what `format_text` names, an image larger
-    than MAX_COMPRESSED_PX, one that exceeds the decoding limits of `jpeg_shape_hwc` and `png_structure`, or
-    one that does not decode to its header's size.
+    than MAX_COMPRESSED_PX, or one that exceeds the limits of `jpeg_structure` and `png_structure`.
     """
     if "compressedDepth" in format_text:
         raise ImageError(
             f"Format {format_text[:40]!r} is of the transport compressedDepth, which is not supported; "
             "subscribe to the raw 16UC1 image instead, or publish it through the transport compressed."
         )
-    file = _checked(bytes_of(data))
+    file = _checked(
+        bytes_of(data), "JPEG or PNG", f"{_SET_PNG}, which sends nothing where it cannot make a JPEG"
+    )
     target = format_text.partition("compressed")[2].strip()
     held = target or format_text.partition(";")[0].strip()
     if _VALUES.match(held):
         return _decode_values(file, held)
-    pixels = _decoded(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = _decoded(file.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     # The encoder swapped red and blue; image_transport swaps them back the same way.
     return ColourImage(pixels, "rgb" if target.startswith("rgb") else "bgr")
 
 
 def decode_image_file(data: NDArray[np.uint8]) -> ColourImage:
-    """Decode an image file (N,), a JPEG, PNG, TIFF, WebP or BMP, rotated as its EXIF data specify.
+    """Decode an image file (N,), a JPEG, PNG, WebP or BMP, rotated as its EXIF data specify.
 
-    JPEG and PNG are checked as in `decode_compressed`, TIFF by `tiff_size_hw`; what WebP and BMP cost depends
-    on their pixels alone, for which `prepare_environment` sets OpenCV's own limit. Raises ImageError when it
-    is larger or cannot be decoded, and for any other format.
+    JPEG and PNG are checked as in `decode_compressed`; what WebP and BMP cost depends on their pixels alone,
+    for which `prepare_environment` sets OpenCV's own limit. Raises ImageError when it is larger or cannot be
+    decoded, and for any other format.
     """
-    if is_tiff(data):
-        file = _CheckedFile(data, tiff_size_hw(data, MAX_COMPRESSED_PX), None)
-    elif _BOUNDED_BY_OPENCV.match(data[:12].tobytes()):
-        return ColourImage(_opencv_pixels(data, cv2.IMREAD_COLOR), "bgr")
-    elif is_jpeg(data) or is_png(data):
-        file = _checked(data)
-    else:
-        raise ImageError(
-            f"Expected a JPEG, PNG, TIFF, WebP or BMP, found {_beginning(data)}. Convert it to PNG."
-        )
-    return ColourImage(_decoded(file, cv2.IMREAD_COLOR), "bgr")
+    if not _BOUNDED_BY_OPENCV.match(data[:12].tobytes()):
+        data = _checked(data, "JPEG, PNG, WebP or BMP", "Convert it to PNG").data
+    return ColourImage(_decoded(data, cv2.IMREAD_COLOR), "bgr")
 
 
 def encode_jpeg(
@@ -104,28 +101,16 @@ def encode_jpeg(
     return np.asarray(data, np.uint8).reshape(-1)
 
 
-@dataclass(frozen=True, eq=False)
-class _CheckedFile:
-    """A JPEG or PNG file (N,) and its height and width in pixels, which decoding must match."""
-
-    data: NDArray[np.uint8]
-    size_hw: tuple[int, int]
-    grey_bits: int | None
-    """Per value; None if the file has colours."""
-
-
-def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
+def _checked(buffer: NDArray[np.uint8], expected: str, remedy: str) -> FileStructure:
     """The file, if decoding it takes bounded memory and time; else ImageError."""
     if is_png(buffer):
-        png = png_structure(buffer)
-        file = _CheckedFile(png.pixels_alone, png.size_hw, png.grey_bits)
+        file = png_structure(buffer)
     elif is_jpeg(buffer):
-        height, width, components = jpeg_shape_hwc(buffer)
-        file = _CheckedFile(buffer, (height, width), 8 if components == 1 else None)
+        file = jpeg_structure(buffer)
     else:
+        beginning = buffer[:8].tobytes().hex() or "nothing"
         raise ImageError(
-            f"Expected a JPEG or PNG, found {_beginning(buffer)}. {_SET_PNG}, which sends nothing where it "
-            "cannot make a JPEG."
+            f"Expected a {expected}, found {buffer.size} bytes that begin with {beginning}. {remedy}."
         )
     height, width = file.size_hw
     check_size(height, width)
@@ -136,11 +121,7 @@ def _checked(buffer: NDArray[np.uint8]) -> _CheckedFile:
     return file
 
 
-def _beginning(buffer: NDArray[np.uint8]) -> str:
-    return f"{buffer.size} bytes that begin with {buffer[:8].tobytes().hex() or 'nothing'}"
-
-
-def _decode_values(file: _CheckedFile, encoding: str) -> ColourImage:
+def _decode_values(file: FileStructure, encoding: str) -> ColourImage:
     bits = 8 * layout_of(encoding).pixel_bytes
     if file.grey_bits != bits:
         found = "colours" if file.grey_bits is None else f"{file.grey_bits} bits"
@@ -148,8 +129,8 @@ def _decode_values(file: _CheckedFile, encoding: str) -> ColourImage:
             f"Expected a file of grey values of {bits} bits for {encoding}, found {found}. {_SET_PNG}, or "
             "have the publisher name after 'compressed' what the file holds, such as bgr8 or mono8."
         )
-    values = _decoded(file, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-    height, width = file.size_hw
+    values = _decoded(file.data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+    height, width = values.shape
     return decode_raw(
         values,
         encoding=encoding,
@@ -160,22 +141,11 @@ def _decode_values(file: _CheckedFile, encoding: str) -> ColourImage:
     )
 
 
-def _decoded(file: _CheckedFile, flags: int) -> NDArray[Any]:
-    """Decoded pixels of the size in the header, or rotated by 90 degrees where the flags apply EXIF."""
-    pixels = _opencv_pixels(file.data, flags)
-    height, width = file.size_hw
-    is_turnable = not flags & cv2.IMREAD_IGNORE_ORIENTATION
-    if pixels.shape[:2] != (height, width) and not (is_turnable and pixels.shape[:2] == (width, height)):
-        found = " x ".join(map(str, pixels.shape[:2]))
-        raise ImageError(f"Expected an image of {height} x {width} as its header says, OpenCV found {found}.")
-    return pixels
-
-
-def _opencv_pixels(buffer: NDArray[np.uint8], flags: int) -> NDArray[Any]:
+def _decoded(file: NDArray[np.uint8], flags: int) -> NDArray[Any]:
     try:
-        pixels = cv2.imdecode(buffer, flags)
+        pixels = cv2.imdecode(file, flags)
     except cv2.error as error:
         raise ImageError(f"OpenCV refuses the image: {error.err}.") from None
     if pixels is None:
-        raise ImageError(f"Expected a complete image, found {buffer.size} bytes that cannot be decoded.")
+        raise ImageError(f"Expected a complete image, found {file.size} bytes that cannot be decoded.")
     return np.ascontiguousarray(pixels)

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ColourImage, ImageError, Order, bytes_of, check_frame_id, check_size
+from yolov5_lifecycle.images.image import (
+    ColourImage,
+    ImageError,
+    Order,
+    check_size,
+    layout_of_message,
+    rows_of,
+)
 
 _CHANNELS = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "GRAY", "rgba8": "RGBA", "bgra8": "BGRA"}
 
@@ -47,40 +54,8 @@ class GreyImage(ColourImage):
         return self._grey, "grey"
 
 
-@dataclass(frozen=True, eq=False)
-class _RawImage:
-    """A buffer with the layout fields of sensor_msgs/Image."""
-
-    buffer: NDArray[np.uint8]
-    encoding: str
-    height: int
-    width: int
-    step: int
-    is_bigendian: bool
-
-    @property
-    def layout(self) -> _Layout:
-        return layout_of(self.encoding)
-
-    @property
-    def rows(self) -> int:
-        """Number of rows of `step` bytes."""
-        return int(self.height * self.layout.rows)
-
-    @property
-    def pixels(self) -> NDArray[np.uint8]:
-        """A read-only view (rows, W, bytes per pixel)."""
-        return self.view(self.rows, self.layout.pixel_bytes, offset=0, step=self.step)
-
-    def view(self, rows: int, pixel_bytes: int, *, offset: int, step: int) -> NDArray[np.uint8]:
-        """A read-only view (rows, W, pixel_bytes) that starts at `offset`."""
-        shape, strides = (rows, self.width, pixel_bytes), (step, pixel_bytes, 1)
-        view: NDArray[np.uint8] = np.ndarray(shape, np.uint8, self.buffer, offset, strides)
-        view.flags.writeable = False
-        return view
-
-
-Decode = Callable[[_RawImage], NDArray[np.uint8]]
+Decode = Callable[[NDArray[np.uint8], bool], NDArray[np.uint8]]
+"""Rows (rows, W, bytes per pixel), and whether these are big-endian -> pixels (H, W, 3) or (H, W)."""
 
 
 class _Layout(NamedTuple):
@@ -97,8 +72,8 @@ class _Layout(NamedTuple):
     min_side_px: int = 1
 
 
-def _as_sent(image: _RawImage) -> NDArray[np.uint8]:
-    return image.pixels
+def _as_sent(rows: NDArray[np.uint8], _: bool) -> NDArray[np.uint8]:
+    return rows
 
 
 def _converted(pixels: NDArray[np.uint8], conversion: int) -> NDArray[np.uint8]:
@@ -106,21 +81,20 @@ def _converted(pixels: NDArray[np.uint8], conversion: int) -> NDArray[np.uint8]:
 
 
 def _by_opencv(conversion: int) -> Decode:
-    return lambda image: _converted(image.pixels, conversion)
+    return lambda rows, _: _converted(rows, conversion)
 
 
-def _grey(image: _RawImage) -> NDArray[np.uint8]:
-    return image.pixels[..., 0]
+def _grey(rows: NDArray[np.uint8], _: bool) -> NDArray[np.uint8]:
+    return rows[..., 0]
 
 
-def _high_bytes(image: _RawImage) -> NDArray[np.uint8]:
-    high = 0 if image.is_bigendian else 1
-    return np.ascontiguousarray(image.pixels[..., high])
+def _high_bytes(rows: NDArray[np.uint8], is_bigendian: bool) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(rows[..., 0 if is_bigendian else 1])
 
 
-def _stretched(image: _RawImage) -> NDArray[np.uint8]:
+def _stretched(rows: NDArray[np.uint8], is_bigendian: bool) -> NDArray[np.uint8]:
     """Contrast-stretched grey: the image minimum becomes black, the maximum white."""
-    values = image.pixels.view(">u2" if image.is_bigendian else "<u2").astype(np.uint16)
+    values = rows.view(">u2" if is_bigendian else "<u2").astype(np.uint16)
     return np.asarray(cv2.normalize(values, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U), np.uint8)
 
 
@@ -136,11 +110,11 @@ _RGB_OF_YUV = np.array(
 """ITU-R BT.601, as OpenCV uses for the other YUV encodings."""
 
 
-def _full_chroma(image: _RawImage) -> NDArray[np.uint8]:
+def _full_chroma(rows: NDArray[np.uint8], _: bool) -> NDArray[np.uint8]:
     # OpenCV has no conversion from NV24. Chroma rows are twice as long as luma rows, padding included.
-    height, step = image.height, image.step
-    luma = np.maximum(image.pixels[:height], _BLACK_LUMA)
-    chroma = image.view(height, 2, offset=height * step, step=2 * step)
+    height, width, step = len(rows) // 3, rows.shape[1], rows.strides[0]
+    luma = np.maximum(rows[:height], _BLACK_LUMA)
+    chroma = as_strided(rows[height:], (height, width, 2), (2 * step, 2, 1))
     return np.asarray(cv2.transform(np.concatenate((luma, chroma), axis=2), _RGB_OF_YUV), np.uint8)
 
 
@@ -193,15 +167,8 @@ def raw_image(image: Any) -> ColourImage:
 
     Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
     """
-    check_frame_id(image)
-    return decode_raw(
-        image.data,
-        encoding=image.encoding,
-        height=image.height,
-        width=image.width,
-        step=image.step,
-        is_bigendian=bool(image.is_bigendian),
-    )
+    layout = layout_of_message(image)
+    return decode_raw(image.data, **layout)
 
 
 def decode_raw(
@@ -216,40 +183,29 @@ def decode_raw(
 
     Raises ImageError when the encoding is unsupported or the buffer is too small for the given layout.
     """
-    layout_of(encoding)
-    image = _RawImage(bytes_of(data), encoding, height, width, step, is_bigendian)
-    _check_size(image)
-    _check_buffer(image)
-    pixels, order = image.layout.decode(image), image.layout.order
-    return GreyImage(pixels) if order == "grey" else ColourImage(pixels, order)
-
-
-def _check_size(image: _RawImage) -> None:
-    height, width, layout = image.height, image.width, image.layout
+    layout = layout_of(encoding)
     check_size(height, width)
     block_height, block_width = layout.block_hw
     if height % block_height or width % block_width:
         raise ImageError(
-            f"Pixels of {image.encoding} come in blocks of {block_height} x {block_width}: expected a height "
+            f"Pixels of {encoding} come in blocks of {block_height} x {block_width}: expected a height "
             f"and a width of whole blocks, found {height} x {width}."
         )
     if min(height, width) < layout.min_side_px:
         raise ImageError(
-            f"Sides of {image.encoding} images must be at least {layout.min_side_px} pixels, "
+            f"Sides of {encoding} images must be at least {layout.min_side_px} pixels, "
             f"found {height} x {width}."
         )
-
-
-def _check_buffer(image: _RawImage) -> None:
-    what = f"rows of {image.width} {image.encoding} pixels"
-    row_size = image.width * image.layout.pixel_bytes
-    if image.step < row_size:
-        raise ImageError(f"The {what} need a step >= {row_size}, found {image.step}.")
-    needed = image.step * (image.rows - 1) + row_size  # the last row may lack its padding
-    if image.buffer.size < needed:
-        raise ImageError(
-            f"{image.height} {what} with step {image.step} need {needed} bytes, found {image.buffer.size}."
-        )
+    rows = rows_of(
+        data,
+        rows=int(height * layout.rows),
+        width=width,
+        pixel_bytes=layout.pixel_bytes,
+        step=step,
+        encoding=encoding,
+    )
+    pixels = layout.decode(rows, bool(is_bigendian))
+    return GreyImage(pixels) if layout.order == "grey" else ColourImage(pixels, layout.order)
 
 
 def encoded(image: ColourImage, encoding: str) -> NDArray[np.uint8]:

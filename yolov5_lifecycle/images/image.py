@@ -72,6 +72,37 @@ def bytes_of(data: Any) -> NDArray[np.uint8]:
         raise ImageError(f"Expected a contiguous buffer of bytes, found {type(data).__name__}.") from None
 
 
+def rows_of(
+    data: Any, *, rows: int, width: int, pixel_bytes: int, step: int, encoding: str
+) -> NDArray[np.uint8]:
+    """A read-only view (rows, width, pixel_bytes) of a buffer whose rows begin every `step` bytes.
+
+    The last row may lack its padding. Raises ImageError when rows overlap or the buffer is too small.
+    """
+    buffer = bytes_of(data)
+    what = f"rows of {width} {encoding} pixels"
+    row_size = width * pixel_bytes
+    if step < row_size:
+        raise ImageError(f"The {what} need a step >= {row_size}, found {step}.")
+    needed = step * (rows - 1) + row_size
+    if buffer.size < needed:
+        raise ImageError(f"{rows} {what} with step {step} need {needed} bytes, found {buffer.size}.")
+    shape, strides = (rows, width, pixel_bytes), (step, pixel_bytes, 1)
+    view: NDArray[np.uint8] = np.ndarray(shape, np.uint8, buffer, 0, strides)
+    view.flags.writeable = False
+    return view
+
+
+def layout_of_message(image: Any) -> dict[str, Any]:
+    """The fields of a sensor_msgs/Image that describe its buffer, by name.
+
+    Raises ImageError for a frame_id longer than MAX_FRAME_ID.
+    """
+    check_frame_id(image)
+    fields = ("encoding", "height", "width", "step", "is_bigendian")
+    return {field: getattr(image, field) for field in fields}
+
+
 def check_frame_id(message: Any) -> None:
     """Raise ImageError if the frame_id in the header of `message` has more than MAX_FRAME_ID characters."""
     length = len(message.header.frame_id)

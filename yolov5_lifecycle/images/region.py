@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,6 @@ _GRID = 10**9
 """Points are compared as multiples of 1 / _GRID: integers, whose products are exact in 64 bits."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _MAX_SHOWN = 40
-_AT_ONCE = 512
-"""Points that are compared with all lines at once; it bounds the memory."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +54,19 @@ class Region:
 
     def contains(self, points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the points (n, 2), in fractions of the image, lie in the region or on its border."""
-        corners = self._corners
-        is_near = (points_xy >= corners.min(axis=0) - BORDER) & (points_xy <= corners.max(axis=0) + BORDER)
-        inside: NDArray[np.bool_] = is_near.all(axis=1)
-        near = np.flatnonzero(inside)
-        for start in range(0, len(near), _AT_ONCE):
-            rows = near[start : start + _AT_ONCE]
-            inside[rows] = _inside(corners, points_xy[rows])
-        return inside
-
-    @cached_property
-    def _corners(self) -> NDArray[np.float64]:
-        return np.array(self.points_xy)
+        inside, is_on_border = np.zeros((2, len(points_xy)), np.bool_)
+        corners = np.array(self.points_xy)
+        for corner, line in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
+            apart = points_xy - corner
+            cross = line[0] * apart[:, 1] - line[1] * apart[:, 0]
+            along = (apart * line).sum(axis=1)
+            length = np.hypot(*line)
+            margin = BORDER * length
+            is_on_border |= (np.abs(cross) <= margin) & (along >= -margin) & (along <= length**2 + margin)
+            # A ray from the point to the right crosses a line that passes its height with the point left.
+            passes = (apart[:, 1] >= 0) != (apart[:, 1] >= line[1])
+            inside ^= passes & ((cross > 0) == (line[1] > 0))
+        return inside | is_on_border
 
 
 def _parsed(number: int, word: str) -> PointXY:
@@ -132,19 +130,3 @@ def _first_crossing(points: NDArray[np.int64], sides: NDArray[np.int64]) -> tupl
         meets[min(line, following), max(line, following)] = is_turning_back
     pairs = np.argwhere(meets)
     return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None
-
-
-def _inside(corners: NDArray[np.float64], points_xy: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the points (n, 2) are in the polygon or on its border."""
-    lines = np.roll(corners, -1, axis=0) - corners
-    apart = points_xy[:, None] - corners  # (n, corners, 2)
-    cross = lines[:, 0] * apart[..., 1] - lines[:, 1] * apart[..., 0]
-    along = (apart * lines).sum(axis=2)
-    lengths = np.hypot(*lines.T)
-    margin = BORDER * lengths
-    is_on_line = (np.abs(cross) <= margin) & (along >= -margin) & (along <= lengths**2 + margin)
-    # Lines that a ray from the point to the right crosses: those that pass its height with the point left.
-    passes = (apart[..., 1] >= 0) != (apart[..., 1] >= lines[:, 1])
-    is_left = (cross > 0) == (lines[:, 1] > 0)
-    inside: NDArray[np.bool_] = ((passes & is_left).sum(axis=1) % 2 == 1) | is_on_line.any(axis=1)
-    return inside

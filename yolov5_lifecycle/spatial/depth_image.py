@@ -5,49 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ImageError, bytes_of, check_frame_id, check_size
+from yolov5_lifecycle.images.image import ImageError, check_size, layout_of_message, rows_of
 
 MIN_DEPTH_M = 0.01
 MAX_DEPTH_M = 1000.0
 """Beyond these a value is no measurement, but damage: no depth camera reaches either."""
 
 
-class _Layout(NamedTuple):
-    kind: str
-    bytes: int
-    metres_per_unit: float
-
-
-DEPTH_ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
-    {"16UC1": _Layout("u", 2, 0.001), "32FC1": _Layout("f", 4, 1.0)}
+DEPTH_ENCODINGS: Mapping[str, tuple[str, float]] = MappingProxyType(
+    {"16UC1": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 )
-"""Encodings of depth images by name, as REP 118 defines them."""
+"""Encodings of depth images by name, as REP 118 defines them: type of a value, and metres per unit."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depth along the optical axis for each pixel, as the camera sent it.
-
-    Raises ImageError on construction unless `values` is (H, W) of unsigned 16-bit integers or 32-bit floats
-    with sides in [1, 16384].
-    """
+    """Depth along the optical axis for each pixel, as the camera sent it."""
 
     values: NDArray[Any]
-    """(H, W), possibly a view with padded rows in either byte order; not every value is a measurement."""
-    metres_per_unit: float
+    """(H, W), of uint16 or float32, possibly a view with padded rows in either byte order.
 
-    def __post_init__(self) -> None:
-        shape, dtype = self.values.shape, self.values.dtype
-        if len(shape) != 2 or (dtype.kind, dtype.itemsize) not in (("u", 2), ("f", 4)):
-            raise ImageError(
-                f"Depth must be of shape (H, W), uint16 or float32, found {dtype} of shape {shape}."
-            )
-        check_size(shape[0], shape[1])
+    Not every value is a measurement.
+    """
+    metres_per_unit: float
 
     @property
     def size_hw(self) -> tuple[int, int]:
@@ -88,22 +73,11 @@ def decode_depth(
             f"Expected a depth image in {' or '.join(DEPTH_ENCODINGS)}, found encoding {encoding[:40]!r}. "
             "Subscribe to the raw depth topic that is aligned to the colour image."
         )
-    layout = DEPTH_ENCODINGS[encoding]
+    kind, metres_per_unit = DEPTH_ENCODINGS[encoding]
     check_size(height, width)
-    buffer = bytes_of(data)
-    row_size = width * layout.bytes
-    needed = step * (height - 1) + row_size  # the last row may lack its padding
-    if step < row_size:
-        raise ImageError(f"Rows of {width} {encoding} pixels need a step >= {row_size}, found {step}.")
-    if buffer.size < needed:
-        raise ImageError(
-            f"{height} rows of {width} {encoding} pixels with step {step} need {needed} bytes, "
-            f"found {buffer.size}."
-        )
-    dtype = np.dtype(f"{'>' if is_bigendian else '<'}{layout.kind}{layout.bytes}")
-    values: NDArray[Any] = np.ndarray((height, width), dtype, buffer, 0, (step, layout.bytes))
-    values.flags.writeable = False
-    return DepthImage(values, layout.metres_per_unit)
+    dtype = np.dtype(kind).newbyteorder(">" if is_bigendian else "<")
+    rows = rows_of(data, rows=height, width=width, pixel_bytes=dtype.itemsize, step=step, encoding=encoding)
+    return DepthImage(rows.view(dtype)[..., 0], metres_per_unit)
 
 
 def depth_image_of_message(image: Any) -> DepthImage:
@@ -111,12 +85,5 @@ def depth_image_of_message(image: Any) -> DepthImage:
 
     Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
     """
-    check_frame_id(image)
-    return decode_depth(
-        image.data,
-        encoding=image.encoding,
-        height=image.height,
-        width=image.width,
-        step=image.step,
-        is_bigendian=bool(image.is_bigendian),
-    )
+    layout = layout_of_message(image)
+    return decode_depth(image.data, **layout)

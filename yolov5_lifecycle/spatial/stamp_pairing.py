@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -38,52 +37,46 @@ class DepthPairing(Generic[Item]):
     """
 
     def __init__(self, slop_s: float) -> None:
-        """`slop_s` is the largest difference of two stamps of a pair; ValueError unless finite and >= 0."""
-        if not (math.isfinite(slop_s) and slop_s >= 0):
-            raise ValueError(f"slop_s must be a finite number of seconds >= 0, found {slop_s}.")
+        """`slop_s` is the largest difference of two stamps of a pair."""
         self._slop_ns = round(slop_s * 1e9)
         self._kept: tuple[Stamped[Item], ...] = ()
         self._expected_ns: int | None = None
-        self._nearest: Stamped[Item] | None = None
 
     def add(self, stamp_ns: int, item: Item) -> None:
-        """Keep a depth image, and the CAPACITY - 1 before it.
+        """Keep a depth image, the CAPACITY - 1 before it, and the one nearest to the expected stamp.
 
         A stamp that is not newer than the last one means that time has started afresh, as when a recording
         is played again: those before are dropped.
         """
         kept = self._kept
         if kept and stamp_ns <= kept[-1].stamp_ns:
-            kept, self._nearest = (), None
-        self._kept = (*kept[-(CAPACITY - 1) :], Stamped(stamp_ns, item))
+            kept = ()
+        kept = (*kept, Stamped(stamp_ns, item))
+        older, newest = kept[:-CAPACITY], kept[-CAPACITY:]
         if (expected_ns := self._expected_ns) is not None:
-            self._nearest = _nearest(expected_ns, self._candidates())
+            nearest = _nearest(expected_ns, kept)
+            newest = (*(depth for depth in older if depth is nearest), *newest)
+        self._kept = newest
 
     def expect(self, stamp_ns: int) -> None:
         """Keep the depth image nearest to a colour image from now on, until the next one is expected."""
         self._expected_ns = stamp_ns
-        self._nearest = _nearest(stamp_ns, self._candidates())
 
     def pair(self, stamp_ns: int) -> Stamped[Item] | Unpaired:
         """The depth image nearest in time to a colour image, the newer of two that are equally near.
 
         Otherwise the reason why none is within the slop.
         """
-        candidates = self._candidates()
-        if (nearest := _nearest(stamp_ns, candidates)) is None:
+        kept = self._kept
+        if (nearest := _nearest(stamp_ns, kept)) is None:
             return Unpaired.MISSING
         if abs(nearest.stamp_ns - stamp_ns) <= self._slop_ns:
             return nearest
-        return Unpaired.LATE if candidates[-1].stamp_ns < stamp_ns else Unpaired.PASSED
+        return Unpaired.LATE if kept[-1].stamp_ns < stamp_ns else Unpaired.PASSED
 
     def clear(self) -> None:
         """Drop what is kept, as when the subscription is recreated."""
-        self._kept, self._nearest = (), None
-
-    def _candidates(self) -> tuple[Stamped[Item], ...]:
-        """All that is kept, the newest last."""
-        nearest = self._nearest
-        return self._kept if nearest is None else (nearest, *self._kept)
+        self._kept = ()
 
 
 def _nearest(stamp_ns: int, depths: Sequence[Stamped[Item]]) -> Stamped[Item] | None:

@@ -8,11 +8,11 @@ acceleration follows the innovations, so that little is added while a camera sta
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from yolov5_lifecycle.tracking.motion import Array, Similarity
+from yolov5_lifecycle.tracking.motion import Array, Similarity, later_variances
 
 MIN_BOXES = 3
 """With fewer boxes, what they have in common may be their own motion."""
@@ -31,8 +31,7 @@ _MIN_SIGNIFICANCE = 9.0
 _ROUNDS = 3  # of robust least squares
 
 
-@dataclass(frozen=True, eq=False)
-class Correction:
+class Correction(NamedTuple):
     """What the tracks gain: their places are mapped, then their velocities grow."""
 
     similarity: Similarity
@@ -56,11 +55,13 @@ class CommonMotion:
 
     def predict(self, step_s: float, size_px: float) -> None:
         """Let `step_s` seconds pass; `size_px`: of a usual box."""
-        density = self._density * size_px**2
-        drift = self._covariance + self._velocity_variance * step_s
-        self._variance = self._variance + (self._covariance + drift) * step_s + density * (step_s**3 / 3)
-        self._covariance = drift + density * (step_s**2 / 2)
-        self._velocity_variance = self._velocity_variance + density * step_s
+        self._variance, self._covariance, self._velocity_variance = later_variances(
+            self._variance,
+            self._covariance,
+            self._velocity_variance,
+            self._density * size_px**2,
+            step_s,
+        )
 
     def correct(self, predicted_xy: Array, seen_xy: Array, size_px: float) -> Correction | None:
         """What the tracks gain as centres were `predicted_xy` (n, 2) and are `seen_xy` (n, 2).

@@ -1,4 +1,4 @@
-"""Motion of boxes: a Kalman filter of constant velocity for each coordinate of each track.
+"""Tracks and the motion of their boxes: a Kalman filter of constant velocity for each coordinate of each.
 
 A box is its centre and size (cx, cy, w, h), as in BoT-SORT (Aharon et al. 2022). The four are independent of
 each other, so instead of one filter with a state of eight there are four with a state of two, position and
@@ -12,7 +12,8 @@ with time instead of frames: it is the continuous white noise acceleration of Ba
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 Similarity = NDArray[np.float64]
 """(2, 3): turns, scales and shifts points (x, y, 1)."""
 
+UNCONFIRMED = 0
+"""The number of a track that was seen once."""
 MEASUREMENT_STD = 0.03
 """Standard deviation of a detected coordinate in box sizes, for a score of 1; see `measurement_std`."""
 SAME_ERROR_S = 0.2
@@ -39,8 +42,8 @@ MIN_SIZE_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """Estimates for n tracks; each array is (n, 4), columns cx, cy, w, h in pixels, and seconds."""
+class Tracks:
+    """n tracks as parallel arrays; estimates are (n, 4), columns cx, cy, w, h in pixels, and seconds."""
 
     position: Array
     velocity: Array
@@ -49,19 +52,39 @@ class Motion:
     covariance: Array
     """Covariance of position and velocity."""
     velocity_variance: Array
+    class_ids: NDArray[np.int64]
+    """(n,) class of the detection that each was last seen in."""
+    numbers: NDArray[np.int64]
+    """(n,) UNCONFIRMED, or unique and above 0."""
+    unseen_s: Array
+    """(n,) seconds since each was seen."""
 
     @classmethod
-    def started(cls, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating]) -> Motion:
-        """Tracks that were seen once, in `boxes_xyxy` (n, 4) with `scores` (n,)."""
+    def started(
+        cls, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating], class_ids: NDArray[np.int64]
+    ) -> Tracks:
+        """Unconfirmed tracks that were seen once, in `boxes_xyxy` (n, 4) with `scores` (n,)."""
         position = xyxy_to_cxcywh(boxes_xyxy)
-        size = _size(position)
         still = np.zeros_like(position)
-        std = measurement_std(position, scores, SAME_ERROR_S)
-        variance = np.broadcast_to(std**2, position.shape).copy()
-        return cls(position, still, variance, still.copy(), (START_SPEED_STD * size) ** 2)
+        variance = still + measurement_std(position, scores, SAME_ERROR_S) ** 2
+        speed_variance = (START_SPEED_STD * _size(position)) ** 2
+        numbers = np.full(len(scores), UNCONFIRMED, np.int64)
+        return cls(
+            position, still, variance, still, speed_variance, class_ids, numbers, np.zeros(len(scores))
+        )
+
+    @classmethod
+    def none(cls) -> Tracks:
+        """No tracks."""
+        return cls.started(np.zeros((0, 4)), np.zeros(0), np.zeros(0, np.int64))
 
     def __len__(self) -> int:
-        return len(self.position)
+        return len(self.numbers)
+
+    @property
+    def is_confirmed(self) -> NDArray[np.bool_]:
+        """(n,) whether each has a number."""
+        return np.not_equal(self.numbers, UNCONFIRMED)
 
     @property
     def boxes_xyxy(self) -> Array:
@@ -82,22 +105,29 @@ class Motion:
         """Median over the tracks, of which there must be one, of the mean of width and height."""
         return float(np.median(_size(self.position)))
 
-    def predicted(self, step_s: float) -> Motion:
-        """The estimates `step_s` seconds later; a box does not shrink below an empty one."""
-        density = ACCELERATION_DENSITY * _size(self.position) ** 2
+    def later(self, step_s: float, timeout_s: float) -> Tracks:
+        """The tracks `step_s` seconds later, without those unseen for more than `timeout_s`."""
+        kept = self.at(self.unseen_s + step_s <= timeout_s)
+        return kept.predicted(min(step_s, timeout_s))
+
+    def predicted(self, step_s: float) -> Tracks:
+        """The tracks `step_s` seconds later; a box does not shrink below an empty one."""
         position = self.position + self.velocity * step_s
         np.maximum(position[:, 2:], 0, out=position[:, 2:])
-        drift = self.covariance + self.velocity_variance * step_s
-        return Motion(
+        density = ACCELERATION_DENSITY * _size(self.position) ** 2
+        variances = self.variance, self.covariance, self.velocity_variance
+        variance, covariance, velocity_variance = later_variances(*variances, density, step_s)
+        return replace(
+            self,
             position=position,
-            velocity=self.velocity,
-            variance=self.variance + (self.covariance + drift) * step_s + density * (step_s**3 / 3),
-            covariance=drift + density * (step_s**2 / 2),
-            velocity_variance=self.velocity_variance + density * step_s,
+            variance=variance,
+            covariance=covariance,
+            velocity_variance=velocity_variance,
+            unseen_s=self.unseen_s + step_s,
         )
 
-    def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Motion:
-        """The estimates for an image to whose pixels `camera` maps those of the last one.
+    def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Tracks:
+        """The tracks in an image to whose pixels `camera` maps those of the last one.
 
         `velocity_xy` (2,) is added to the velocity of all centres.
         """
@@ -107,16 +137,23 @@ class Motion:
         )
         position[:, :2] += camera[:, 2]
         velocity[:, :2] += velocity_xy
-        variances = (
+        variance, covariance, velocity_variance = (
             np.hstack((each[:, :2] @ linear**2, each[:, 2:] * scale**2))
             for each in (self.variance, self.covariance, self.velocity_variance)
         )
-        return Motion(position, velocity, *variances)
+        return replace(
+            self,
+            position=position,
+            velocity=velocity,
+            variance=variance,
+            covariance=covariance,
+            velocity_variance=velocity_variance,
+        )
 
     def corrected(
         self, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating], step_s: float
-    ) -> Motion:
-        """The estimates after each track was seen in its row of `boxes_xyxy` (n, 4) and `scores` (n,).
+    ) -> Tracks:
+        """The tracks after each was seen in its row of `boxes_xyxy` (n, 4) and `scores` (n,).
 
         `step_s`: seconds since the previous image.
         """
@@ -124,26 +161,43 @@ class Motion:
         uncertainty = self.variance + measurement_std(measured, scores, step_s) ** 2
         gain, velocity_gain = self.variance / uncertainty, self.covariance / uncertainty
         surprise = measured - self.position
-        return Motion(
+        return replace(
+            self,
             position=self.position + gain * surprise,
             velocity=self.velocity + velocity_gain * surprise,
             variance=self.variance * (1 - gain),
             covariance=self.covariance * (1 - gain),
             velocity_variance=self.velocity_variance - velocity_gain * self.covariance,
+            unseen_s=np.zeros(len(self)),
         )
 
-    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Motion:
+    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Tracks:
         """The tracks in `rows`, indices or a mask."""
-        return Motion(*(values[rows] for values in self.arrays))
+        return Tracks(*(column[rows] for column in self.columns))
 
-    def followed_by(self, other: Motion) -> Motion:
+    def followed_by(self, other: Tracks) -> Tracks:
         """These tracks, then those of `other`."""
-        return Motion(*map(np.concatenate, zip(self.arrays, other.arrays, strict=True)))
+        return Tracks(*map(np.concatenate, zip(self.columns, other.columns, strict=True)))
 
     @property
-    def arrays(self) -> tuple[Array, ...]:
-        """All five arrays, in the order of the fields."""
-        return self.position, self.velocity, self.variance, self.covariance, self.velocity_variance
+    def columns(self) -> tuple[NDArray[Any], ...]:
+        """All arrays, in the order of the fields."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+
+def later_variances(
+    variance: Array, covariance: Array, velocity_variance: Array, density: Array | float, step_s: float
+) -> tuple[Array, Array, Array]:
+    """Of position, of both and of velocity, `step_s` seconds later.
+
+    `density`: the variance that the velocity gains per second, in (pixels / s)^2 / s.
+    """
+    drift = covariance + velocity_variance * step_s
+    return (
+        variance + (covariance + drift) * step_s + density * (step_s**3 / 3),
+        drift + density * (step_s**2 / 2),
+        velocity_variance + density * step_s,
+    )
 
 
 def xyxy_to_cxcywh(boxes_xyxy: NDArray[np.floating]) -> Array:

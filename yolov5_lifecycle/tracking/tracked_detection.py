@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, StampCounts, TrackerSettings
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, StampCounts
 from yolov5_lifecycle.tracking.camera_motion import CameraMotion
 
 
@@ -19,7 +19,7 @@ class TrackedDetection:
     """The tracker of one camera with its current settings; `with_settings` of others keeps the tracks."""
 
     tracker: ByteTracker
-    settings: TrackerSettings
+    settings: Settings
     camera: CameraMotion = field(default_factory=CameraMotion)
 
     @classmethod
@@ -29,11 +29,11 @@ class TrackedDetection:
         """Without tracks; None if `settings` ask for no tracker. For `ids` and `counts` see ByteTracker."""
         if settings.tracker == "none":
             return None
-        return cls(ByteTracker(ids, counts), tracker_settings(settings))
+        return cls(ByteTracker(ids, counts), settings)
 
     def with_settings(self, settings: Settings) -> TrackedDetection:
-        """The same tracker and tracks with the tracker's part of `settings`."""
-        return replace(self, settings=tracker_settings(settings))
+        """The same tracker and tracks with `settings`."""
+        return replace(self, settings=settings)
 
     def detect(
         self, detector: Detector, image: ColourImage, selection: Selection, stamp_s: float
@@ -62,8 +62,3 @@ class TrackedDetection:
             camera = self.camera.since_last(image, found.boxes_xyxy)
         ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings, camera=camera)
         return narrowed(replace(found, track_ids=ids), selection)
-
-
-def tracker_settings(settings: Settings) -> TrackerSettings:
-    """The tracker's part of `settings`."""
-    return TrackerSettings(**{field.name: getattr(settings, field.name) for field in fields(TrackerSettings)})
