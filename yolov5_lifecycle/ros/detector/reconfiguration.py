@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Generator, Sequence
+from collections.abc import Awaitable, Generator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,15 +12,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
-from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation, resume
 from yolov5_lifecycle.ros.detector.session import Session
-from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
-from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
+from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refusal
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.settings.schema import Change, Problem
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
 _AT_A_TIME = 10
@@ -95,9 +93,7 @@ class Reconfiguration:
         session = self.resources.session
         if session is not None and proposal.kind is Change.RELOAD:
             return await self._reload(session, proposal)
-        if session is not None and (problems := _broken_by(proposal, session.model)):
-            return refusal(problems)
-        return self._commit(proposal)
+        return self._commit(proposal, session.preparation if session is not None else None)
 
     async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
         """Reload once no other reload runs; of those that wait the latest remains.
@@ -166,42 +162,29 @@ class Reconfiguration:
         proposal = self.parameters.renewed(asked)
         if self.resources.session is not session or proposal.problems:  # because of what came meanwhile
             return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
-        if problems := _broken_by(proposal, preparation.result()):
-            result = refusal(problems)
-            result.reason += _OLD_CLASSES.format(names=_listed(problems))
-            return result
         return self._commit(proposal, preparation)
 
-    def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
-        """Store a valid proposal and make it take effect; roll back on an exception."""
-        session, previous = self.resources.session, self.parameters.present(proposal.parameters)
-        running = session.preparation if session is not None else None
-        result = self.parameters.store(proposal)
-        before, after = proposal.base.settings, proposal.after.settings
-        if not result.successful or before is None or after is None or before is after:
+    def _commit(self, proposal: Proposal, preparation: Preparation | None) -> SetParametersResult:
+        """Make a valid proposal take effect, with the model of `preparation`, and store it; or nothing."""
+        session, before, after = self.resources.session, proposal.base.settings, proposal.after.settings
+        if session is None or preparation is None or before is None or after is None or before is after:
+            return self.parameters.store(proposal)
+        running = session.preparation
+        if problems := model_problems(after, preparation.result().detector.class_names):
+            result = refusal(problems)
+            if preparation is not running:
+                names = ", ".join(f"`{problem.setting}`" for problem in problems)
+                result.reason += _OLD_CLASSES.format(names=names)
             return result
+        is_done = False
         try:
-            if session is not None and running is not None:
-                session.apply(after, preparation or running)
-        except Exception:
-            self.parameters.store(self.parameters.propose(previous))
-            if session is not None and running is not None:
+            session.apply(after, preparation)
+            result = self.parameters.store(proposal)
+            is_done = result.successful
+        finally:
+            if not is_done:
                 session.apply(before, running)
-            raise
         return result
-
-
-def _broken_by(proposal: Proposal, model: PreparedModel) -> list[Problem]:
-    """Constraints of `model` that a valid proposal would violate."""
-    settings = proposal.after.settings
-    if settings is None or proposal.after is proposal.base:
-        return []
-    return model_problems(settings, model.detector.class_names)
-
-
-def _listed(problems: Sequence[Problem]) -> str:
-    """The names of the settings."""
-    return ", ".join(f"`{problem.setting}`" for problem in problems)
 
 
 class _Pause:
