@@ -212,7 +212,7 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             [
                 "cameras: ",
                 "front.max_rate: add front when you correct cameras.",
-                "front.max_rte: there is no such parameter. Did you mean 'front.max_rate'? Or remove it",
+                "front.max_rte: there is no such parameter. Did you mean 'front.max_rate'? Set that one, or",
             ],
             id="too many cameras",
         ),
@@ -221,7 +221,7 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             [
                 "cameras: ",
                 "2nd.max_rate: there is no such parameter: no camera can have the name '2nd'. Use the "
-                "camera's new name. Or remove it: ros2 param delete /yolov5 2nd.max_rate",
+                "camera's new name. Remove it: ros2 param delete /yolov5 2nd.max_rate",
             ],
             id="name that no camera can have",
         ),
@@ -306,7 +306,7 @@ def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
 
 def test_setting_the_parameter_that_was_meant_corrects_the_name(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"cameras": ["front"], "front.max_rte": 5.0}) as tried:
-        assert "Did you mean 'front.max_rate'?" in tried.configure()
+        assert "Did you mean 'front.max_rate'? Set that one, or" in tried.configure()
         assert tried.set("front.max_rate", 5.0).successful
         assert tried.configure() == ""
 

@@ -126,9 +126,11 @@ class SettingsParameters:
 
     def explained_problems(self) -> list[str]:
         """The problems, each with the command that removes the parameter unless it is one of the node."""
-        delete = f"Or remove it: ros2 param delete {self._node.get_fully_qualified_name()}"
+        delete = f"ros2 param delete {self._node.get_fully_qualified_name()}"
         return [
-            str(problem) if problem.setting in SETTINGS_BY_NAME else f"{problem} {delete} {problem.setting}"
+            str(problem)
+            if problem.setting in SETTINGS_BY_NAME
+            else f"{problem} {_removal(problem)}: {delete} {problem.setting}"
             for problem in self.problems
         ]
 
@@ -176,10 +178,9 @@ class SettingsParameters:
         wanted = {parameter.name: value_of(parameter, SCHEMA.find(parameter.name)) for parameter in asked}
         values = {**self._current.values, **wanted}
         unknown = [name for name in wanted if not self._is_parameter(name, values)]
-        undeletable = [name for name in SETTINGS_BY_NAME.keys() & wanted if wanted[name] is None]
-        after = self._after(
-            {name: value for name, value in wanted.items() if name not in {*unknown, *undeletable}}
-        )
+        undeletable = [name for name in wanted if wanted[name] is None and name in SETTINGS_BY_NAME]
+        impossible = {*unknown, *undeletable}
+        after = self._after({name: wanted[name] for name in wanted if name not in impossible})
         of_values, unsolved = self._problems_of(wanted, after)
         return Proposal(
             base=self._current,
@@ -286,6 +287,14 @@ def _to_set(parameter: Parameter) -> Parameter:
     """`parameter` in the type of its setting; as it is if it is another one."""
     setting = SCHEMA.find(parameter.name)
     return parameter if setting is None else parameter_of(setting, value_of(parameter, setting))
+
+
+def _removal(problem: Problem) -> str:
+    """The remedy that the parameter is removed, beside what `problem` says."""
+    is_possible = SCHEMA.find(problem.setting) is not None
+    if problem.message.startswith("there is no such parameter. Did you mean"):
+        return f"Set that one, {'and' if is_possible else 'or'} remove this one"
+    return "Or remove it" if is_possible else "Remove it"
 
 
 def _undeletable(name: str) -> Problem:
