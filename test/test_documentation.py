@@ -32,7 +32,7 @@ from yolov5_lifecycle.detection.selection import class_ids
 from yolov5_lifecycle.offline.detect_bag_arguments import command_parser
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.ros.parameters.declaration import coerced
+from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -49,7 +49,7 @@ def settings_of(text: str) -> dict[str, Any]:
         nested = value if isinstance(value, dict) else {}
         values |= {f"{name}.{below}": nested[below] for below in nested} or {name: value}
     return {
-        name: coerced(Parameter(name, value=value), SCHEMA.found([name])).value
+        name: value_of(Parameter(name, value=value), SCHEMA.find(name))
         for name, value in values.items()
         if not name.startswith("qos_overrides.")
     }
@@ -123,8 +123,7 @@ def test_a_parameter_of_the_readme_has_its_true_default() -> None:
     for row in table(README, "Parameters"):
         name, shown = (cell.strip("`") for cell in row[:2])
         default = defaults[name]
-        plain = list(default) if isinstance(default, tuple) else default
-        assert coerced(Parameter(name, value=yaml.safe_load(shown)), SETTINGS_BY_NAME).value == plain, name
+        assert value_of(Parameter(name, value=yaml.safe_load(shown)), SETTINGS_BY_NAME[name]) == default, name
 
 
 def test_the_line_for_apt_is_the_one_that_make_gives() -> None:

@@ -47,7 +47,7 @@ from yolov5_lifecycle.commands import convert, fetch_weights
 from yolov5_lifecycle.commands.entry_points import MODULES
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import Observer
-from yolov5_lifecycle.ros.parameters.declaration import coerced
+from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 NOT_RUN = {
@@ -147,7 +147,7 @@ def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
     assert node == NODE
     if verb == "set":
         given = parameter_value_to_python(get_parameter_value(value))
-        meant = coerced(Parameter(name, value=given), SCHEMA.found([name])).value
+        meant = value_of(Parameter(name, value=given), SCHEMA.find(name))
         assert SCHEMA.problem(name, meant) is None
     else:
         assert verb in ("get", "describe", "delete", "dump")
@@ -185,8 +185,8 @@ def check_service(verb: str, service: str, service_type: str, request: str = "{}
         ParameterMessage(name=parameter["name"], value=ParameterValue(**parameter["value"]))
         for parameter in yaml.safe_load(request)["parameters"]
     ]
-    parameters = [coerced(Parameter.from_parameter_msg(message), SETTINGS_BY_NAME) for message in messages]
-    validated({parameter.name: parameter.value for parameter in parameters})
+    parameters = map(Parameter.from_parameter_msg, messages)
+    validated({one.name: value_of(one, SETTINGS_BY_NAME[one.name]) for one in parameters})
 
 
 CHECKS: dict[str, Callable[..., None]] = {

@@ -24,8 +24,7 @@ ALLOWED = {
     "ros.detector.session.apply": DONE,
     "ros.detector.model_loader.load": DONE,
     "ros.detector.reconfiguration._reload_now": DONE,
-    "ros.detector.reconfiguration._replace": DONE,
-    "ros.detector.reconfiguration._replace_now": DONE,
+    "ros.detector.reconfiguration._commit": DONE,
 }
 
 

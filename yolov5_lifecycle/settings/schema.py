@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.suggestion import did_you_mean, nearest
+from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, did_you_mean, nearest
 from yolov5_lifecycle.settings.value_text import MAX_SHOWN, shown_value
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -160,9 +160,16 @@ class Schema(Generic[Model]):
         self.settings = tuple(_described(name, field) for name, field in model.model_fields.items())
         self.by_name: Mapping[str, Setting] = {setting.name: setting for setting in self.settings}
 
+    def find(self, name: str) -> Setting | None:
+        """The setting called `name`, or None."""
+        return self.by_name.get(name)
+
     def validated(self, values: Mapping[str, object]) -> Model:
         """Settings from values by name, with defaults for the rest; SettingsError with every problem."""
-        return self._validated(values)
+        settings, problems = self._attempt(values)
+        if settings is None or problems:
+            raise SettingsError(problems)
+        return settings
 
     def problem(self, name: str, value: object) -> Problem | None:
         """Why `value` of the setting `name` is invalid whatever the other values are, or None."""
@@ -173,10 +180,6 @@ class Schema(Generic[Model]):
             details = error.errors(include_url=False, include_input=False)[0]
             return None if details["type"] == "contradiction" else self._problems(details, values)[0]
         return None
-
-    def fallback(self, name: str, value: object) -> object:
-        """What the setting `name` is while the `value` that it was given is invalid."""
-        return self.by_name[name].default
 
     def meant(self, name: str, values: Mapping[str, object] = _NONE) -> str | None:
         """The setting that was probably meant by `name`, or None; `values` are the present ones."""
@@ -194,21 +197,31 @@ class Schema(Generic[Model]):
         meant = self.meant(name, values) if may_suggest else None
         return Problem(shown, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
 
-    def _validated(self, values: Mapping[str, object], context: Mapping[str, object] | None = None) -> Model:
-        frozen = {name: _frozen(value) for name, value in values.items()}
+    def all_unknown(self, names: Iterable[str], values: Mapping[str, object] = _NONE) -> list[Problem]:
+        """The problem of each of these unknown names; of very many, only the first get a suggestion."""
+        return [
+            self.unknown(name, values, may_suggest=index < MAX_SUGGESTIONS)
+            for index, name in enumerate(names)
+        ]
+
+    def _attempt(
+        self, values: Mapping[str, object], context: Mapping[str, object] | None = None
+    ) -> tuple[Model | None, list[Problem]]:
+        """The settings, None if one is invalid, and every problem."""
+        known = {name: _frozen(value) for name, value in values.items() if name in self.by_name}
+        settings, problems = None, self.all_unknown((name for name in values if name not in known), values)
         try:
-            return self._model.model_validate(frozen, context=context)
+            settings = self._model.model_validate(known, context=context)
         except ValidationError as error:
             found = error.errors(include_url=False, include_input=False)
-            problems = [problem for details in found for problem in self._problems(details, frozen)]
-        raise SettingsError(list(dict.fromkeys(problems)))  # one per list, however many entries are wrong
+            of_values = [problem for details in found for problem in self._problems(details, known)]
+            problems = [*dict.fromkeys(of_values), *problems]  # one per list, however many entries are wrong
+        return settings, problems
 
     def _problems(self, details: ErrorDetails, values: Mapping[str, object]) -> list[Problem]:
         if details["type"] == "contradiction":
             return list(details["ctx"]["problems"])
         name = str(details["loc"][0])
-        if details["type"] == "extra_forbidden":
-            return [self.unknown(name, values)]
         setting = self.by_name[name]
         reason = _reason(setting, values[name], details)
         if setting.change is Change.READ_ONLY:

@@ -195,19 +195,6 @@ def test_a_proposal_knows_its_most_expensive_kind_of_change(
     assert served.node._settings.propose(parameters(values)).kind is kind
 
 
-def test_a_stored_proposal_is_rolled_back_completely(served: ServedNode) -> None:
-    owner = served.node._settings
-    assert change(served, {"front.max_rate": 5.0, "rear.classes": []}) == (True, "")
-    before, present = owner.settings(), names(served)
-    values = {"cameras": ["front", "rear", "side"], "side.max_rate": 3.0, "rear.lazy": False}
-    proposal = owner.propose(parameters(values))
-    previous = owner.present(proposal.parameters)
-    assert owner.store(proposal).successful
-    assert owner.settings() != before
-    assert owner.store(owner.propose(previous)).successful
-    assert (owner.settings(), names(served)) == (before, present)
-
-
 # Reading
 
 

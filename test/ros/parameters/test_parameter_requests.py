@@ -23,8 +23,8 @@ from support.preparations import CLASS_NAMES, Preparations
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.session import Session
-from yolov5_lifecycle.ros.parameters.declaration import coerced, plain_values
-from yolov5_lifecycle.ros.parameters.proposal import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.parameters.declaration import value_of
+from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_REASON_LENGTH
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, Settings, validated
@@ -167,9 +167,7 @@ def test_any_parameter_becomes_a_setting_or_is_refused(name: str, value: object,
         parameter = Parameter(name, Parameter.Type.STRING_ARRAY, value)
     else:
         parameter = Parameter(name, value=value)
-    meant = coerced(parameter, SETTINGS_BY_NAME, may_be_unset=may_be_unset)
-    assert meant.name == name
-    settings = outcome(plain_values([meant], SETTINGS_BY_NAME))
+    settings = outcome({name: value_of(parameter, SETTINGS_BY_NAME[name], may_be_unset=may_be_unset)})
     if isinstance(settings, SettingsError):
         assert {problem.setting for problem in settings.problems} <= {name, "precision", "image_size"}
         assert all(len(problem.message) < 500 for problem in settings.problems)

@@ -124,15 +124,8 @@ def declared_settings(node: Node) -> CameraSettings:
 
     Raises SettingsError with every problem: invalid values and unknown names.
     """
-    declaration = declare(node, SCHEMA)
-    problems = [*declaration.invalid.values(), *map(SCHEMA.unknown, declaration.unknown)]
-    try:
-        settings = SCHEMA.validated(declaration.values)
-    except SettingsError as error:
-        raise SettingsError([*problems, *error.problems]) from None
-    if problems:
-        raise SettingsError(problems)
-    return settings
+    values, _ = declare(node, SCHEMA)
+    return SCHEMA.validated(values)
 
 
 def check_qos_overrides(node: Node) -> None:

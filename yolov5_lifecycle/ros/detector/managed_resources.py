@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from pathlib import Path
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
-from yolov5_lifecycle.collecting.collector import Collector, CollectorStatus
+from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera, FrameFailures
@@ -35,7 +34,7 @@ _CLOSE_TIMEOUT_S = 3.0
 @dataclass(eq=False)
 class ManagedResources:
     """Owns the cameras, their publishers from `configure` to `release`, and the session from `activate` to
-    `deactivate`.
+    `deactivate`; the collector of images, and the service with which somebody asks for one.
 
     The model loader exists from construction to `close`. `on_too_many(reason)`, whose result is awaited, and
     `on_device_lost(reason)` are called in the executor; see `FrameFailures`. A frame in progress is waited
@@ -61,7 +60,8 @@ class ManagedResources:
         )
         self._track_ids = itertools.count(1)
         self._waits = Background(self.node, "waits")
-        self._collecting = CollectService(self.node, self.parameters, self._cameras)
+        self._collector = _collector(self.parameters)
+        self.node.create_service(Trigger, "~/collect", self._collect)
         self.loader = ModelLoader(
             self.node, self.prepare, sizes_hw=self._sizes_hw, on_device_lost=self.on_device_lost
         )
@@ -165,7 +165,10 @@ class ManagedResources:
             log.warning("a model is still being loaded or freed: its thread is abandoned")
         if self.hanging_threads:
             log.warning("inference has still not finished: its thread is abandoned")
-        self._collecting.close()
+        if self._collector is not None and not self._collector.close(_CLOSE_TIMEOUT_S):
+            log.warning(
+                f"an image has not been written within {_CLOSE_TIMEOUT_S:g} s: its thread is abandoned"
+            )
         self._waits.close()
 
     @property
@@ -196,9 +199,25 @@ class ManagedResources:
             cameras=tuple(camera.status() for camera in self._cameras.values()),
             abandoned_threads=self.hanging_threads,
             resident_mb=resident_mb(),
-            collected=self._collecting.status,
+            collected=self._collector.status if self._collector else None,
             namesakes=namesakes(self.node),
         )
+
+    def _collect(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Keep the next image of each camera that collects."""
+        if self._collector is None:
+            response.message = "there is no folder: restart the node with collect_dir set to one"
+            return response
+        asked = [camera for camera in self._cameras.values() if camera.collect_next()]
+        if problem := self._collector.status.problem:
+            response.message = f"no image was kept at the last attempt: {problem}"
+        elif not asked:
+            response.message = "no camera collects: activate the node, and set collect to true"
+        else:
+            names = ", ".join(camera.name for camera in asked if camera.name)
+            response.success = True
+            response.message = f"the next image{f' of {names}' if names else ''} is kept"
+        return response
 
     def _follow_subscribers(self) -> None:
         if self.session is not None:
@@ -234,56 +253,12 @@ class ManagedResources:
             cameras=self._cameras,
             label_info=label_info,
             track_ids=self._track_ids,
-            collector=self._collecting.collector,
+            collector=self._collector,
         )
-
-
-@dataclass(eq=False)
-class CollectService:
-    """Owns `collector`, which keeps images of `cameras`, and the service with which somebody asks for one.
-
-    `collector` is None without the parameter `collect_dir`, which like the quota is that of the start.
-    """
-
-    node: Node
-    parameters: SettingsParameters
-    cameras: Mapping[str, DetectorCamera]
-
-    def __post_init__(self) -> None:
-        self.collector = _collector(self.parameters)
-        self.node.create_service(Trigger, "~/collect", self._collect)
-
-    @property
-    def status(self) -> CollectorStatus | None:
-        """What became of images that were worth a label; None without a folder for them."""
-        return self.collector.status if self.collector is not None else None
-
-    def close(self) -> None:
-        """Keep what waits; a thread that hangs in the disk is abandoned and logged."""
-        if self.collector is not None and not self.collector.close(_CLOSE_TIMEOUT_S):
-            self.node.get_logger().warning(
-                f"an image has not been written within {_CLOSE_TIMEOUT_S:g} s: its thread is abandoned"
-            )
-
-    def _collect(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Keep the next image of each camera that collects."""
-        if self.collector is None:
-            response.message = "there is no folder: restart the node with collect_dir set to one"
-            return response
-        asked = [camera for camera in self.cameras.values() if camera.collect_next()]
-        response.success = bool(asked)
-        names = ", ".join(camera.name for camera in asked if camera.name)
-        response.message = (
-            f"the next image{f' of {names}' if names else ''} is kept"
-            if asked
-            else "no camera collects: activate the node, and set collect to true"
-        )
-        if problem := self.collector.status.problem:
-            response.success, response.message = False, f"no image was kept at the last attempt: {problem}"
-        return response
 
 
 def _collector(parameters: SettingsParameters) -> Collector | None:
+    """Keeps images in `collect_dir`, which like the quota is that of the start; None without one."""
     folder = str(parameters.value("collect_dir"))
     if not folder:
         return None

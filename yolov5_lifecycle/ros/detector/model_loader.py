@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, TypeVar
 
-from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future as RosFuture
 
@@ -19,11 +18,11 @@ from yolov5_lifecycle.settings.settings import Settings
 Result = TypeVar("Result")
 
 
-def resume(waiting: RosFuture, result: object, executor: Executor) -> None:
-    """Resume the callback that awaits `waiting`, with `result`."""
+def resume(node: Node, waiting: RosFuture, result: object = None) -> None:
+    """Resume the callback of `node` that awaits `waiting`, with `result`."""
     waiting.set_result(result)
-    # Before rclpy 7.1.8, set_result does not wake the executor (ros2/rclpy#1374).
-    executor.wake()
+    if (executor := node.executor) is not None:
+        executor.wake()  # before rclpy 7.1.8, set_result does not (ros2/rclpy#1374)
 
 
 class Background:
@@ -47,11 +46,8 @@ class Background:
 
     async def finish(self, future: Future[Result]) -> Future[Result]:
         """Await `future` inside an executor callback, then return it."""
-        executor = self._node.executor
-        assert executor is not None, "only a callback awaits, so there is an executor"
-        done = RosFuture(executor=executor)
-
-        future.add_done_callback(lambda _: resume(done, None, executor))
+        done = RosFuture(executor=self._node.executor)
+        future.add_done_callback(lambda _: resume(self._node, done))
         await done
         return future
 

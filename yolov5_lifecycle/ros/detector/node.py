@@ -19,7 +19,6 @@ from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
 from yolov5_lifecycle.ros.nodes import PrintableNode
-from yolov5_lifecycle.ros.parameters.configuration_problems import corrections
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
 from yolov5_lifecycle.ros.rclpy_internals import (
@@ -169,21 +168,15 @@ class DetectorNode(PrintableNode, LifecycleNode):
     @logged
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         cameras = self._settings.value("cameras") or ("",)
-        of_parameters = self._settings.problems()
         problems = [
-            *map(in_one_line, self._start_problems),
-            *self._topic_problems(
-                cameras, are_undecided=any(problem.setting == CAMERAS for problem in of_parameters)
-            ),
-            *(in_one_line(str(problem)) for problem in of_parameters),
+            *self._start_problems,
+            *self._topic_problems(cameras),
+            *self._settings.explained_problems(),
         ]
         if problems:
             heading = f"configure refused, {len(problems)} problem(s):"
-            self.report(
-                "\n  ".join(
-                    [heading, *problems, *corrections(of_parameters, self.get_fully_qualified_name())]
-                )
-            )
+            lines = [heading, *map(in_one_line, problems), *self._settings.correction()]
+            self.report("\n  ".join(lines))
             return FAILURE
         self._is_qos_checked = True
         settings = self._settings.settings()
@@ -193,7 +186,6 @@ class DetectorNode(PrintableNode, LifecycleNode):
         except ValueError as error:
             self.report(f"configure refused: {error}")
             return FAILURE
-        self._settings.forget_unusable()
         self.get_logger().info("configured with\n" + self._settings.table())
         self._resources.configure()
         self._problem = ""
@@ -232,13 +224,14 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._release()
 
-    def _topic_problems(self, cameras: Sequence[str], *, are_undecided: bool) -> list[str]:
+    def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         if problems := impossible_names(self, cameras):
             return problems
+        are_undecided = any(problem.setting == CAMERAS for problem in self._settings.problems)
         # The overrides are fixed, but their camera may be gone since.
         of_qos = [] if self._is_qos_checked else qos_problems(self, cameras, are_undecided=are_undecided)
-        return [*remapping_problems(self, cameras), *(in_one_line(str(problem)) for problem in of_qos)]
+        return [*remapping_problems(self, cameras), *map(str, of_qos)]
 
     def _status(self) -> Status:
         self._resources.update()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,15 +12,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
-from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation, resume
 from yolov5_lifecycle.ros.detector.session import Session
-from yolov5_lifecycle.ros.parameters.proposal import Proposal, refusal
-from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
+from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refusal
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.settings.schema import Change, Problem
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
 _AT_A_TIME = 10
@@ -69,7 +67,8 @@ class Reconfiguration:
         whole: Proposal | None = None
         for index, parameter in enumerate(asked):
             if index % _AT_A_TIME == _AT_A_TIME - 1:
-                await self._others()
+                self.node.executor.wake()
+                await _Pause()
             proposal = self.parameters.propose([parameter])
             result = await self._set(proposal)
             if not result.successful and len(asked) > 1:
@@ -83,11 +82,6 @@ class Reconfiguration:
         response.result = await self._set(self.parameters.propose(asked))
         return response
 
-    def _others(self) -> Awaitable[None]:
-        if (executor := self.node.executor) is not None:
-            executor.wake()
-        return _Pause()
-
     async def _set(self, proposal: Proposal) -> SetParametersResult:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
@@ -95,9 +89,7 @@ class Reconfiguration:
         session = self.resources.session
         if session is not None and proposal.kind is Change.RELOAD:
             return await self._reload(session, proposal)
-        if session is not None and (problems := _broken_by(proposal, session.model)):
-            return refusal(problems)
-        return self._commit(proposal)
+        return self._commit(proposal, session.preparation if session is not None else None)
 
     async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
         """Reload once no other reload runs; of those that wait the latest remains.
@@ -105,7 +97,7 @@ class Reconfiguration:
         Otherwise every queued reload would load a model that the next one replaces.
         """
         if self._waiting is not None:
-            self._resume(self._waiting, False)
+            resume(self.node, self._waiting, False)
         if self._is_reloading:
             turn = self._waiting = RosFuture(executor=self.node.executor)
             if not await turn:
@@ -117,91 +109,67 @@ class Reconfiguration:
             waiting, self._waiting = self._waiting, None
             self._is_reloading = waiting is not None
             if waiting is not None:
-                self._resume(waiting, True)
-
-    def _resume(self, turn: RosFuture, may_begin: bool) -> None:
-        if (executor := self.node.executor) is not None:
-            resume(turn, may_begin, executor)
+                resume(self.node, waiting, True)
 
     async def _reload_now(self, session: Session, asked: Proposal) -> SetParametersResult:
-        def wanted() -> Settings | None:
-            proposal = self.parameters.renewed(asked)
-            is_wanted = self.resources.session is session and not proposal.problems
-            return proposal.after.settings if is_wanted else None
-
-        preparation = await self.loader.load(wanted)
-        if preparation is None:
-            # Another change came first and contradicts this one, or another transition came first.
-            proposal = self.parameters.renewed(asked)
-            return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
-        try:
-            preparation.result()
-        except REFUSALS as error:
-            self.node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
-            return _refused(f"{error} The running model stays.")
-        return await self._replace(session, preparation, asked)
-
-    async def _replace(
-        self, session: Session, preparation: Preparation, asked: Proposal
-    ) -> SetParametersResult:
-        """Commit `asked` with the model prepared for it, then free whichever model is unused.
+        """Load the model, commit `asked` with it, then free whichever model is unused.
 
         It takes effect between two frames of all cameras: afterwards no frame has the previous model.
         """
-        old, new = session.model, preparation.result()
+        preparation = await self.loader.load(lambda: self._wanted(session, asked))
+        if preparation is None:
+            return self._overtaken(asked)
+        try:
+            new = preparation.result()
+        except REFUSALS as error:
+            self.node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
+            return _refused(f"{error} The running model stays.")
+        unused = new
         try:
             async with self.resources.between_frames():
-                return self._replace_now(session, preparation, asked)
+                if self._wanted(session, asked) is None:
+                    return self._overtaken(asked)
+                old = session.model
+                result = self._commit(self.parameters.renewed(asked), preparation)
+                unused = old if session.model is new else new
+                return result
         finally:
-            is_replaced = session.model is new
-            if is_replaced:
+            if unused is not new:
                 self.node.get_logger().info(f"the model was replaced: {new.summary}")
-            await self.loader.retire(
-                old if is_replaced else new, after=partial(self.resources.is_at_rest, session)
-            )
+            await self.loader.retire(unused, after=partial(self.resources.is_at_rest, session))
 
-    def _replace_now(
-        self, session: Session, preparation: Preparation, asked: Proposal
-    ) -> SetParametersResult:
+    def _wanted(self, session: Session, asked: Proposal) -> Settings | None:
+        """The settings with what was `asked`; None if that is obsolete."""
         proposal = self.parameters.renewed(asked)
-        if self.resources.session is not session or proposal.problems:  # because of what came meanwhile
-            return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
-        if problems := _broken_by(proposal, preparation.result()):
+        is_wanted = self.resources.session is session and not proposal.problems
+        return proposal.after.settings if is_wanted else None
+
+    def _overtaken(self, asked: Proposal) -> SetParametersResult:
+        """Another change came first and contradicts this one, or another transition came first."""
+        proposal = self.parameters.renewed(asked)
+        return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
+
+    def _commit(self, proposal: Proposal, preparation: Preparation | None) -> SetParametersResult:
+        """Make a valid proposal take effect, with the model of `preparation`, and store it; or nothing."""
+        session, before, after = self.resources.session, proposal.base.settings, proposal.after.settings
+        if session is None or preparation is None or before is None or after is None or before is after:
+            return self.parameters.store(proposal)
+        running = session.preparation
+        if problems := model_problems(after, preparation.result().detector.class_names):
             result = refusal(problems)
-            result.reason += _OLD_CLASSES.format(names=_listed(problems))
+            if preparation is not running:
+                names = ", ".join(f"`{problem.setting}`" for problem in problems)
+                result.reason += _OLD_CLASSES.format(names=names)
             return result
-        return self._commit(proposal, preparation)
-
-    def _commit(self, proposal: Proposal, preparation: Preparation | None = None) -> SetParametersResult:
-        """Store a valid proposal and make it take effect; roll back on an exception."""
-        session, previous = self.resources.session, self.parameters.present(proposal.parameters)
-        running = session.preparation if session is not None else None
-        result = self.parameters.store(proposal)
-        before, after = proposal.base.settings, proposal.after.settings
-        if not result.successful or before is None or after is None or before is after:
-            return result
+        is_done = False
         try:
-            if session is not None and running is not None:
-                session.apply(after, preparation or running)
-        except Exception:
-            self.parameters.store(self.parameters.propose(previous))
-            if session is not None and running is not None:
+            session.apply(after, preparation)
+            result = self.parameters.store(proposal)
+            is_done = result.successful
+        finally:
+            if not is_done:
                 session.apply(before, running)
-            raise
         return result
-
-
-def _broken_by(proposal: Proposal, model: PreparedModel) -> list[Problem]:
-    """Constraints of `model` that a valid proposal would violate."""
-    settings = proposal.after.settings
-    if settings is None or proposal.after is proposal.base:
-        return []
-    return model_problems(settings, model.detector.class_names)
-
-
-def _listed(problems: Sequence[Problem]) -> str:
-    """The names of the settings."""
-    return ", ".join(f"`{problem.setting}`" for problem in problems)
 
 
 class _Pause:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -10,45 +12,86 @@ from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.ros.parameters.configuration_problems import (
-    UnusableOverrides,
-    accepted_until_configure,
-    configuration_problems,
-    explained,
-    fixed_cameras,
-    without_camera,
-)
 from yolov5_lifecycle.ros.parameters.declaration import (
     Source,
-    coerced,
     declare,
-    declare_given,
-    declare_missing,
-    deletion,
-    plain_values,
+    declare_unset,
+    parameter_of,
     source_table,
-    stays,
-    undeclare_unset,
     unset_descriptor,
+    value_of,
 )
-from yolov5_lifecycle.ros.parameters.proposal import Configuration, Proposal, acceptance
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
-from yolov5_lifecycle.settings.settings import SCHEMA, Settings, validated
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
 from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
+from yolov5_lifecycle.settings.value_text import value_text
 
 Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
 
+MAX_REASON_LENGTH = 2000
+"""Max length of the refusal of one change, in characters."""
 _BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
+
+
+@dataclass(frozen=True, eq=False)
+class Configuration:
+    """All values, also wrong and unknown ones, with the resulting settings or problems.
+
+    Compared by identity.
+    """
+
+    values: Mapping[str, object]
+    settings: Settings | None
+    """None if there are problems."""
+    problems: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """Changes that one request makes to `base`, the configuration it was validated against.
+
+    It may be stored if `base` is still the current configuration and it has no `problems`.
+    """
+
+    base: Configuration
+    after: Configuration
+    """`base` itself if no setting changes."""
+    asked: tuple[Parameter, ...]
+    """Parameters as requested."""
+    problems: tuple[Problem, ...]
+    """Why the request must be refused."""
+    unsolved: tuple[Problem, ...]
+    """Problems that the change adds and another one can solve: accepted while the node is unconfigured."""
+
+    @property
+    def kind(self) -> Change | None:
+        """The most expensive kind of change; None if no setting changes or the settings are invalid."""
+        before, after = self.base.settings, self.after.settings
+        if before is None or after is None:
+            return None
+        return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
+
+
+def refusal(problems: Sequence[Problem]) -> SetParametersResult:
+    """Result that rejects a change because of `problems`; the reason is at most MAX_REASON_LENGTH long."""
+    return SetParametersResult(successful=False, reason=_reason(problems))
+
+
+def _reason(problems: Sequence[Problem]) -> str:
+    reason = " ".join(map(str, problems))
+    if len(reason) <= MAX_REASON_LENGTH:
+        return reason
+    return f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"
 
 
 class SettingsParameters:
     """Owns the current settings; other code queries it or is passed the frozen settings.
 
-    A bad override (YAML file or command line) never raises: the parameter is declared with its fallback and
-    the problem is kept until the parameter is set again, so that configure can report all problems.
+    A bad override (YAML file or command line) never raises: it is kept among the values, and its parameter
+    has the default, until it is set again or deleted, so that configure can report all problems.
 
     While the node `is_unconfigured`, values may contradict each other and cameras with overrides may be
     missing, so that parameters can be set one by one in any order; configure then refuses what is left.
@@ -73,24 +116,31 @@ class SettingsParameters:
         self._rules = rules
         self._validate = validate
         self._is_unconfigured = is_unconfigured
-        declaration = declare_given(node, declare(node, SCHEMA, arguments=arguments))
-        self._given = declaration.sources
-        self._sources = {name: self._given[name] for name in declaration.values}
-        self._unusable = UnusableOverrides(declaration.invalid, declaration.unknown)
-        self._current = self._configuration(declaration.values)
+        values, self._sources = declare(node, SCHEMA, arguments=arguments)
+        self._current = self._configuration(values)
 
-    def problems(self) -> list[Problem]:
-        """Problems of the current values and of the overrides."""
-        return configuration_problems(
-            self._current,
-            self._unusable,
-            changed={name for name, source in self._sources.items() if source is Source.RUN_TIME},
-            node_name=self._node.get_fully_qualified_name(),
-        )
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """Problems of the current values."""
+        return self._current.problems
 
-    def forget_unusable(self) -> None:
-        """Forget the overrides without effect, once `problems` has none."""
-        self._unusable = UnusableOverrides({}, {})
+    def explained_problems(self) -> list[str]:
+        """The problems, each with the command that removes the parameter unless it is one of the node."""
+        delete = f"ros2 param delete {self._node.get_fully_qualified_name()}"
+        return [
+            str(problem)
+            if problem.setting in SETTINGS_BY_NAME
+            else f"{problem} {_removal(problem)}: {delete} {problem.setting}"
+            for problem in self.problems
+        ]
+
+    def correction(self) -> list[str]:
+        """The command that corrects values, if one of the problems is that of a value that may be set."""
+        found = (SCHEMA.find(problem.setting) for problem in self.problems)
+        if all(setting is None or setting.change is Change.READ_ONLY for setting in found):
+            return []
+        name = self._node.get_fully_qualified_name()
+        return [f"Correct values one by one, in any order: ros2 param set {name} NAME VALUE"]
 
     def settings(self) -> Settings:
         """The current settings; raises SettingsError if the values contradict each other."""
@@ -99,8 +149,13 @@ class SettingsParameters:
         return self._current.settings
 
     def value(self, name: str) -> Any:
-        """Value of one setting, valid by itself even if the values contradict each other."""
-        return self._current.values[name]
+        """Value of one parameter, valid by itself even if the values contradict each other."""
+        return value_of(self._node.get_parameter(name), None)
+
+    def value_for(self, camera: str, name: str) -> Any:
+        """Value of a setting for a camera in `cameras`; see `value`."""
+        own = f"{camera}{SEPARATOR}{name}"
+        return self.value(own if self._node.has_parameter(own) else name)
 
     def describe(self, request: DescribeParameters.Request, response: Any) -> Any:
         """Response of the service `describe_parameters`; also describes overrides that are not set.
@@ -118,35 +173,21 @@ class SettingsParameters:
         response.descriptors = described
         return response
 
-    def value_for(self, camera: str, name: str) -> Any:
-        """Value of a setting for a camera in `cameras`; see `value`."""
-        return self._current.values.get(f"{camera}{SEPARATOR}{name}", self.value(name))
-
     def propose(self, asked: Sequence[Parameter]) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing."""
-        withdrawn = self._unusable.deleted_by(asked)
-        rest = [parameter for parameter in asked if parameter.name not in withdrawn]
-        settings = SCHEMA.found(parameter.name for parameter in rest)
-        wanted = [coerced(parameter, settings) for parameter in rest]
-        values = {**self._current.values, **plain_values(wanted, settings)}
-        unknown = tuple(p.name for p in wanted if not self._is_parameter(p, values))
-        of_names = [
-            SCHEMA.unknown(name, values, may_suggest=index < MAX_SUGGESTIONS)
-            for index, name in enumerate(unknown)
-        ]
-        known = [p for p in wanted if p.name not in unknown and not stays(self._node, p)]
-        after = self._after(known)
-        of_values, unsolved = self._problems_added_by(after)
+        wanted = {parameter.name: value_of(parameter, SCHEMA.find(parameter.name)) for parameter in asked}
+        values = {**self._current.values, **wanted}
+        unknown = [name for name in wanted if not self._is_parameter(name, values)]
+        undeletable = [name for name in wanted if wanted[name] is None and name in SETTINGS_BY_NAME]
+        impossible = {*unknown, *undeletable}
+        after = self._after({name: wanted[name] for name in wanted if name not in impossible})
+        of_values, unsolved = self._problems_of(wanted, after)
         return Proposal(
             base=self._current,
             after=after,
-            kind=_kind(self._current.settings, after.settings),
             asked=tuple(asked),
-            parameters=tuple(known),
-            withdrawn=withdrawn,
-            unknown=unknown,
-            problems=(*of_names, *of_values),
-            unsolved=unsolved,
+            problems=(*SCHEMA.all_unknown(unknown, values), *map(_undeletable, undeletable), *of_values),
+            unsolved=tuple(unsolved),
         )
 
     def renewed(self, proposal: Proposal) -> Proposal:
@@ -154,89 +195,110 @@ class SettingsParameters:
         return proposal if proposal.base is self._current else self.propose(proposal.asked)
 
     def store(self, proposal: Proposal) -> SetParametersResult:
-        """Set a valid, current proposal atomically; the caller applies it to the running detection."""
-        if proposal.parameters:
-            declare_missing(self._node, proposal.parameters)
-            result = self._node.set_parameters_atomically([*proposal.parameters])
-            if not result.successful:
-                undeclare_unset(self._node, proposal.parameters)
-                return result
-            self._keep(proposal)
-        self._unusable = self._unusable.without(proposal.withdrawn)
-        return acceptance(proposal) if proposal.unsolved else SetParametersResult(successful=True)
-
-    def present(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """Current values of these parameters; those that are not declared are unset."""
-        has, get = self._node.has_parameter, self._node.get_parameter
-        return [get(p.name) if has(p.name) else deletion(p.name) for p in parameters]
+        """Set a valid, current proposal atomically."""
+        wanted = {parameter.name: _to_set(parameter) for parameter in proposal.asked}
+        parameters = [parameter for parameter in wanted.values() if not self._stays(parameter)]
+        added = [SCHEMA.find(p.name) for p in parameters if not self._node.has_parameter(p.name)]
+        for setting in filter(None, added):
+            declare_unset(self._node, setting)
+        result = SetParametersResult(successful=True)
+        if parameters:
+            result = self._node.set_parameters_atomically(parameters)
+        if not result.successful:
+            for setting in filter(None, added):
+                self._node.undeclare_parameter(setting.name)
+            return result
+        self._current = proposal.after
+        self._sources |= dict.fromkeys(wanted, Source.RUN_TIME)
+        if proposal.unsolved:
+            remark = "change another parameter, too, or configure is refused: "
+            result.reason = f"{remark}{_reason(proposal.unsolved)}"
+        return result
 
     def table(self) -> str:
         """Name, value and source of every setting and override, one per line."""
         return source_table(self._current.values, self._sources)
 
-    def _after(self, parameters: Sequence[Parameter]) -> Configuration:
-        """The configuration with `parameters`, without the overrides that are None, as that deletes them.
+    def _after(self, wanted: Mapping[str, object]) -> Configuration:
+        """The configuration with the settings and overrides in `wanted`, of which None deletes.
 
-        It is the current one if none of `parameters` is a setting.
+        It is the current one if there are none. Setting what was meant by an unknown name corrects that name.
         """
-        if not (changed := self._changed(parameters)):
-            return self._current
-        values = {**self._current.values, **changed}
-        return self._configuration(
-            {name: value for name, value in values.items() if value is not None or SEPARATOR not in name}
-        )
-
-    def _problems_added_by(self, after: Configuration) -> tuple[tuple[Problem, ...], tuple[Problem, ...]]:
-        """The problems that refuse a change to `after`, and those that may wait for another change."""
-        present = set(self._current.problems)
-        problems = [problem for problem in after.problems if problem not in present]
-        if after.values[CAMERAS] != self._current.values[CAMERAS] and not self._is_unconfigured():
-            problems.append(fixed_cameras(self._node.get_fully_qualified_name()))
-        may_wait = problems and self._is_unconfigured()
-        unsolved = accepted_until_configure(problems, after.values) if may_wait else ()
-        refused = (explained(problem, after.values) for problem in problems if problem not in unsolved)
-        return tuple(refused), unsolved
-
-    def _changed(self, parameters: Sequence[Parameter]) -> dict[str, object]:
-        """Values of those `parameters` that are settings or overrides; None for a deleted override."""
-        values = plain_values(parameters, SCHEMA.found(parameter.name for parameter in parameters))
         present = self._current.values
-        return {name: value for name, value in values.items() if value is not None or name in present}
+        changes = {name: wanted[name] for name in wanted if name in present or SCHEMA.find(name)}
+        if not changes:
+            return self._current
+        values = {name: value for name, value in {**present, **changes}.items() if value is not None}
+        unknown = (name for name in values if SCHEMA.find(name) is None)
+        corrected = [n for n in islice(unknown, MAX_SUGGESTIONS) if SCHEMA.meant(n, values) in changes]
+        return self._configuration({name: value for name, value in values.items() if name not in corrected})
 
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
-        absent = without_camera(values)
-        problems = [SCHEMA.without_camera(name, values) for name in absent]
-        present = {name: value for name, value in values.items() if name not in absent}
         try:
-            settings = self._validate(present)
+            settings = self._validate(values)
         except SettingsError as error:
-            return Configuration(values, None, (*error.problems, *problems))
-        problems += [problem for rule in self._rules for problem in rule(settings)]
+            return Configuration(values, None, tuple(error.problems))
+        problems = [problem for rule in self._rules for problem in rule(settings)]
         return Configuration(values, None if problems else settings, tuple(problems))
 
-    def _is_parameter(self, parameter: Parameter, values: Mapping[str, object]) -> bool:
-        """Whether `parameter` may be set or deleted if the other values are `values`."""
+    def _problems_of(
+        self, wanted: Mapping[str, object], after: Configuration
+    ) -> tuple[list[Problem], list[Problem]]:
+        """The problems that refuse a change to `after`, and those that may wait for another change."""
+        if self._is_unconfigured():
+            found = [SCHEMA.problem(n, v) for n, v in wanted.items() if SCHEMA.find(n) and v is not None]
+            present = set(self._current.problems)
+            return [*filter(None, found)], [problem for problem in after.problems if problem not in present]
+        problems = list(after.problems)
+        if after.values[CAMERAS] != self._current.values[CAMERAS]:
+            name = f"ros2 lifecycle set {self._node.get_fully_qualified_name()}"
+            problems.append(
+                Problem(
+                    CAMERAS,
+                    f"fixed by configure. If the node is active, {name} deactivate; then {name} cleanup, set "
+                    f"{CAMERAS}, configure and activate.",
+                )
+            )
+        return problems, []
+
+    def _is_parameter(self, name: str, values: Mapping[str, object]) -> bool:
+        """Whether `name` may be set to its value in `values`, or deleted if that is None."""
+        if self._node.has_parameter(name) or SCHEMA.is_known(name, values):
+            return True
+        if values[name] is None:
+            return name in self._current.values
+        return SCHEMA.find(name) is not None and self._is_unconfigured()
+
+    def _stays(self, parameter: Parameter) -> bool:
+        """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
+
+        rclpy would reject both, the latter with `ros2 param load` of a dump of the node.
+        """
         name = parameter.name
-        is_unset = parameter.type_ is Parameter.Type.NOT_SET
-        if SEPARATOR not in name or SCHEMA.find(name) is None or is_unset:
-            return self._node.has_parameter(name) or SCHEMA.is_known(name, values)
-        return SCHEMA.is_known(name, values) or self._is_unconfigured()
-
-    def _keep(self, proposal: Proposal) -> None:
-        """Make what `proposal` has set the current configuration."""
-        if proposal.after is proposal.base:
-            return
-        self._current, values = proposal.after, proposal.after.values
-        names, asked = {p.name for p in proposal.parameters}, {p.name for p in proposal.asked}
-        self._sources |= {
-            name: Source.RUN_TIME if name in asked else self._given[name] for name in values.keys() & names
-        }
-        for name in self._sources.keys() - values.keys():
-            del self._sources[name]
-        self._unusable = self._unusable.without(names)
+        if not self._node.has_parameter(name):
+            return parameter.type_ is Parameter.Type.NOT_SET
+        if not self._node.describe_parameter(name).read_only:
+            return False
+        present = self._node.get_parameter(name)
+        return (parameter.type_, parameter.value) == (present.type_, present.value)
 
 
-def _kind(before: Settings | None, after: Settings | None) -> Change | None:
-    if before is None or after is None:
-        return None
-    return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
+def _to_set(parameter: Parameter) -> Parameter:
+    """`parameter` in the type of its setting; as it is if it is another one."""
+    setting = SCHEMA.find(parameter.name)
+    return parameter if setting is None else parameter_of(setting, value_of(parameter, setting))
+
+
+def _removal(problem: Problem) -> str:
+    """The remedy that the parameter is removed, beside what `problem` says."""
+    is_possible = SCHEMA.find(problem.setting) is not None
+    if problem.message.startswith("there is no such parameter. Did you mean"):
+        return f"Set that one, {'and' if is_possible else 'or'} remove this one"
+    return "Or remove it" if is_possible else "Remove it"
+
+
+def _undeletable(name: str) -> Problem:
+    setting = SETTINGS_BY_NAME[name]
+    default = value_text(setting.default)
+    remedy = "" if setting.change is Change.READ_ONLY else f" Set it to its default: {default}."
+    return Problem(name, f"a parameter of the node always has a value and cannot be deleted.{remedy}")
