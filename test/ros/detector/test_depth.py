@@ -58,7 +58,7 @@ def depth(ros_domain: int) -> Iterator[DepthInput]:
 def placed(
     depth: DepthInput, stamp_s: float = 1.0, size_hw: tuple[int, int] = CAMERA.size_hw
 ) -> PlacedImage | None:
-    return depth.place(SCENE.box_xyxy[None], size_hw, header(stamp_s).stamp)
+    return depth.place(SCENE.box_xyxy[None], size_hw, header(stamp_s))
 
 
 def fill(depth: DepthInput, stamp_s: float = 1.0) -> None:

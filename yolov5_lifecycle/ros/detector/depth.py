@@ -5,26 +5,18 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus, depth_topics
 from yolov5_lifecycle.ros.detector.image_input import Subscription
-from yolov5_lifecycle.ros.detector.image_topic import (
-    COMPRESSED,
-    DISCOVERY_S,
-    RAW,
-    camera_of,
-    remedy,
-    similar_images,
-)
-from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
+from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
@@ -74,22 +66,6 @@ UNPLACED_S = 2.0
 
 
 @dataclass(frozen=True)
-class SourceStatus:
-    """A topic of the depth camera: its publishers of the right type, and the seconds without one.
-
-    `problem`: why subscribing failed, "" if it did not. `remedy`: what to type if the images are published in
-    another form, on `sent_as`; both "" if they are not.
-    """
-
-    name: str
-    publishers: int
-    missing_s: float
-    problem: str = ""
-    sent_as: str = ""
-    remedy: str = ""
-
-
-@dataclass(frozen=True)
 class DepthStatus:
     """Snapshot of depth, while the setting `depth` is true and the node active.
 
@@ -97,8 +73,8 @@ class DepthStatus:
     depth image or camera_info was rejected, "" if that was long ago.
     """
 
-    image: SourceStatus | None
-    camera_info: SourceStatus | None
+    image: TopicStatus | None
+    camera_info: TopicStatus | None
     counts: DepthCounts
     run: RunWithoutDepth | None
     recently_rejected: str
@@ -112,8 +88,9 @@ class DepthStatus:
             if source.problem:
                 return f"{source.problem}: detections have no place in space"
             if source.publishers == 0 and source.missing_s > DISCOVERY_S:
-                where = f" (but in another form on {source.sent_as})" if source.sent_as else ""
-                remedy = source.remedy or "start the depth camera, remap the topic or set depth to false"
+                where, remedy = "", "start the depth camera, remap the topic or set depth to false"
+                if source.sent_as:
+                    where, remedy = f" (but in another form on {source.sent_as})", source.remedy
                 return (
                     f"no publisher of {what} on {source.name}{where}: detections have no place in space; "
                     f"{remedy}"
@@ -177,12 +154,10 @@ class DepthInput:
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
         if is_needed and not self._subscriptions:
-            topics = [of_camera(topic, self.camera) for topic in (DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)]
+            image, camera_info = depth_topics(self.node, self.camera)
             self._subscriptions = [
-                Subscription(self.node, topics[0], Image, self.take_image, depth=_QUEUE),
-                Subscription(
-                    self.node, topics[1], CameraInfo, self.take_camera_info, depth=_QUEUE, takes_latched=True
-                ),
+                Subscription(image, self.take_image, depth=_QUEUE),
+                Subscription(camera_info, self.take_camera_info, depth=_QUEUE, takes_latched=True),
             ]
             self.update()
         elif not is_needed and self._subscriptions:
@@ -198,12 +173,7 @@ class DepthInput:
             subscription.follow()
 
     def status(self) -> DepthStatus:
-        image, camera_info = [
-            SourceStatus(each.name, each.publishers, each.missing_s, each.problem)
-            for each in self._subscriptions
-        ] or (None, None)
-        if image is not None and image.publishers == 0:
-            image = self._in_another_form(image)
+        image, camera_info = [each.status() for each in self._subscriptions] or (None, None)
         is_recent = self.clock() - self._rejected_s < RECENT_S
         return DepthStatus(
             image=image,
@@ -220,10 +190,9 @@ class DepthInput:
             depth = depth_image_of_message(message), message.header.frame_id
         except ImageError as error:
             self.counts.rejected_depth_images += 1
-            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self.clock()
-            self.node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
+            self._reject(f"depth images are rejected: {error}")
             return
-        self._pairing.add(_nanoseconds(message.header.stamp), depth)
+        self._pairing.add(stamp_ns(message.header), depth)
 
     def take_camera_info(self, message: CameraInfo) -> None:
         """Use these intrinsics from now on; reject those of an uncalibrated camera."""
@@ -231,22 +200,21 @@ class DepthInput:
             self._intrinsics = intrinsics_of_message(message)
         except ImageError as error:
             self.counts.rejected_camera_infos += 1
-            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self.clock()
-            self.node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
+            self._reject(f"camera_info is rejected: {error}")
 
-    def expect(self, stamp: Time) -> None:
-        """Keep the depth image nearest to the stamp of the image in progress until the next call."""
-        self._pairing.expect(_nanoseconds(stamp))
+    def expect(self, header: Header) -> None:
+        """Keep the depth image nearest in time to the image with this header until the next call."""
+        self._pairing.expect(stamp_ns(header))
 
     def place(
-        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], stamp: Time
+        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], header: Header
     ) -> PlacedImage | None:
-        """Place the boxes (n, 4) of the image with this stamp with the depth image nearest to it.
+        """Place the boxes (n, 4) of the image with this header with the depth image nearest in time.
 
         None, counted with the reason, if no depth image fits.
         """
         count, intrinsics = len(boxes_xyxy), self._intrinsics
-        paired = self._pairing.pair(_nanoseconds(stamp))
+        paired = self._pairing.pair(stamp_ns(header))
         if isinstance(paired, Unpaired):
             missing = Unplaced.NO_DEPTH_IMAGE
             self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
@@ -263,30 +231,16 @@ class DepthInput:
         self.run = None
         return PlacedImage(placements, frame_id)
 
+    def _reject(self, why: str) -> None:
+        self._rejection, self._rejected_s = why, self.clock()
+        self.node.get_logger().warning(why, throttle_duration_sec=5.0)
+
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
         now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
         self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
         self.counts.unplaced_images += 1
         self.counts.unplaced[reason] += count
-
-    def _in_another_form(self, image: SourceStatus) -> SourceStatus:
-        """`image` with what to type if the same images are published by another transport."""
-        local = of_camera(DEPTH_IMAGE_RAW, self.camera)
-        name = full_name(self.node, local)
-        found = similar_images(
-            self.node,
-            name,
-            transport=RAW,
-            usable=(RAW,),
-            is_candidate=lambda other: camera_of(other) == camera_of(name),
-        )
-        # JPEG cannot hold distances.
-        best = min(found, key=lambda images: images.form == COMPRESSED, default=None)
-        if best is None:
-            return image
-        clause = remedy(self.node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self.camera)
-        return replace(image, sent_as=in_one_line(best.name), remedy=clause)
 
 
 def _explained(
@@ -297,7 +251,3 @@ def _explained(
     sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
     colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
     return f"{reason.value}: images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
-
-
-def _nanoseconds(stamp: Time) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
