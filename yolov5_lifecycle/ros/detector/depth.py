@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,20 +35,6 @@ class PlacedImage:
         return [placed.distance_m if isinstance(placed, Box3D) else None for placed in self.placements]
 
 
-@dataclass
-class DepthCounts:
-    """What has been received and placed so far. Each number is written by one thread only."""
-
-    depth_images: int = 0
-    rejected_depth_images: int = 0
-    rejected_camera_infos: int = 0
-    placed_images: int = 0
-    """Images with a matching depth image and camera_info."""
-    unplaced_images: int = 0
-    placed: int = 0
-    unplaced: Counter[Unplaced] = field(default_factory=Counter)
-
-
 @dataclass(frozen=True)
 class RunWithoutDepth:
     """Consecutive images up to now whose detections could not be placed, with the reason for the last one."""
@@ -75,7 +60,7 @@ class DepthStatus:
 
     image: TopicStatus | None
     camera_info: TopicStatus | None
-    counts: DepthCounts
+    counts: Mapping[str, int]
     run: RunWithoutDepth | None
     recently_rejected: str
 
@@ -108,18 +93,15 @@ class DepthStatus:
             values["depth topic"] = self.image.name
             values["depth publishers"] = str(self.image.publishers)
             values["camera_info publishers"] = str(self.camera_info.publishers)
-        values["depth images received"] = str(self.counts.depth_images)
-        values["depth images rejected"] = str(self.counts.rejected_depth_images)
-        values["camera_infos rejected"] = str(self.counts.rejected_camera_infos)
-        values["images with depth"] = str(self.counts.placed_images)
-        values["images without depth"] = str(self.counts.unplaced_images)
-        values["detections placed"] = str(self.counts.placed)
-        return values | {
-            f"unplaced: {reason.value}": str(self.counts.unplaced[reason]) for reason in Unplaced
-        }
+        return values | {name: str(count) for name, count in self.counts.items()}
 
 
 _QUEUE = 2
+_RECEIVED, _PLACED = "depth images received", "detections placed"
+_IMAGES_REJECTED, _INFOS_REJECTED = "depth images rejected", "camera_infos rejected"
+_WITH_DEPTH, _WITHOUT_DEPTH = "images with depth", "images without depth"
+_UNPLACED = {reason: f"unplaced: {reason.value}" for reason in Unplaced}
+_COUNTED = _RECEIVED, _IMAGES_REJECTED, _INFOS_REJECTED, _WITH_DEPTH, _WITHOUT_DEPTH, _PLACED
 
 
 @dataclass(eq=False)
@@ -147,7 +129,8 @@ class DepthInput:
         self._pairing: DepthPairing[tuple[DepthImage, str]] = DepthPairing(self.slop_s)
         """Depth images, each with the name of its coordinate frame."""
         self._intrinsics: Intrinsics | None = None
-        self.counts = DepthCounts()
+        self.counts = dict.fromkeys((*_COUNTED, *_UNPLACED.values()), 0)
+        """By their names in diagnostics; each number is written by one thread only."""
         self.run: RunWithoutDepth | None = None
         self._rejection, self._rejected_s = "", float("-inf")
 
@@ -185,12 +168,11 @@ class DepthInput:
 
     def take_image(self, message: Image) -> None:
         """Keep a depth image, without a copy; reject one that cannot be read."""
-        self.counts.depth_images += 1
+        self.counts[_RECEIVED] += 1
         try:
             depth = depth_image_of_message(message), message.header.frame_id
         except ImageError as error:
-            self.counts.rejected_depth_images += 1
-            self._reject(f"depth images are rejected: {error}")
+            self._reject(_IMAGES_REJECTED, f"depth images are rejected: {error}")
             return
         self._pairing.add(stamp_ns(message.header), depth)
 
@@ -199,8 +181,7 @@ class DepthInput:
         try:
             self._intrinsics = intrinsics_of_message(message)
         except ImageError as error:
-            self.counts.rejected_camera_infos += 1
-            self._reject(f"camera_info is rejected: {error}")
+            self._reject(_INFOS_REJECTED, f"camera_info is rejected: {error}")
 
     def expect(self, header: Header) -> None:
         """Keep the depth image nearest in time to the image with this header until the next call."""
@@ -224,14 +205,15 @@ class DepthInput:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
         placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
-        no_place = Counter(placement for placement in placements if isinstance(placement, Unplaced))
-        self.counts.placed_images += 1
-        self.counts.placed += count - no_place.total()
-        self.counts.unplaced.update(no_place)
+        for placement in placements:
+            name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
+            self.counts[name] += 1
+        self.counts[_WITH_DEPTH] += 1
         self.run = None
         return PlacedImage(placements, frame_id)
 
-    def _reject(self, why: str) -> None:
+    def _reject(self, count: str, why: str) -> None:
+        self.counts[count] += 1
         self._rejection, self._rejected_s = why, self.clock()
         self.node.get_logger().warning(why, throttle_duration_sec=5.0)
 
@@ -239,8 +221,8 @@ class DepthInput:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
         now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
         self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
-        self.counts.unplaced_images += 1
-        self.counts.unplaced[reason] += count
+        self.counts[_WITHOUT_DEPTH] += 1
+        self.counts[_UNPLACED[reason]] += count
 
 
 def _explained(
