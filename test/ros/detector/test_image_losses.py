@@ -16,7 +16,7 @@ from support.detector_process import as_arguments, environment, is_matched_relia
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector.camera_topic import colour_topic
-from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, ReceivedFrame
+from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, ReceivedFrame, Subscription
 from yolov5_lifecycle.ros.observer import Observer
 
 FRONT, REAR = b"front", b"rear"
@@ -260,3 +260,14 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.dropped_in_queue) == (2, 0, 4)
     (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
     assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE
+
+
+def test_an_override_of_the_depth_does_not_make_the_node_subscribe_again(ros_domain: int) -> None:
+    words = ["--ros-args", "-p", f"qos_overrides.{TOPIC}.subscription.depth:=5"]
+    with closing(Observer("context", domain=ros_domain)) as observer:
+        node = rclpy.create_node("receiver", context=observer.context, cli_args=words)
+        subscription = Subscription(colour_topic(node, "raw"), lambda _: None, depth=1)
+        assert subscription.follow()
+        assert not subscription.follow()
+        subscription.close()
+        node.destroy_node()

@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeVar
@@ -96,7 +97,7 @@ class Subscription:
                 topic.message_type,
                 endpoint_name(node, topic.local_name),
                 self.take,
-                self.qos,
+                copy(self.qos),  # which rclpy changes where there are overrides
                 event_callbacks=self.events,
                 qos_overriding_options=overriding_options(node, topic.local_name, "subscription"),
             )
