@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import pytest
 from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
 
-from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.streaming.inference_threads import InferenceThreads, RateLimit, Send
+from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
+from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Send
 
 
 class Line(ScriptedCamera):
@@ -230,11 +230,18 @@ def test_an_idle_thread_holds_no_frame(line: Line) -> None:
 
 
 @pytest.mark.parametrize("limit_hz", [1.0, 7.0, 29.0, 40.0, 0.0])
-def test_a_stream_is_thinned_to_the_limit_if_there_is_one(limit_hz: float) -> None:
-    limit = RateLimit(limit_hz)
-    admitted = sum(limit.admits(1000 + index / 30) for index in range(30 * 100))
-    assert admitted / 100 == pytest.approx(min(limit_hz or 30, 30), rel=0.02)
-    burst = sum(limit.admits(2000 + index / 1000) for index in range(100))
+def test_images_are_thinned_to_the_limit_if_there_is_one(limit_hz: float) -> None:
+    queue = CameraQueue(FrameCounter(), lambda outcome, error: None)
+    queue.start(Negated([]), limit_hz)
+
+    def admitted(begin_s: float, rate_hz: int, count: int) -> int:
+        before = queue.counter.balance()[Outcome.SKIPPED]
+        for number in range(count):
+            queue.receive(number, begin_s + number / rate_hz)
+        return count - (queue.counter.balance()[Outcome.SKIPPED] - before)
+
+    assert admitted(1000, 30, 30 * 100) / 100 == pytest.approx(min(limit_hz or 30, 30), rel=0.02)
+    burst = admitted(2000, 1000, 100)
     assert burst <= limit_hz / 10 + 2 or limit_hz == 0, "a pause saves up nothing"
 
 

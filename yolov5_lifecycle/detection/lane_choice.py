@@ -58,20 +58,16 @@ def choose_lanes(
     `sizes_hw`: height and width of the images of every camera, for which `detector` is warm. Raises
     InferenceError when a frame fails, DeviceError for lanes on a device that runs one frame at a time.
     """
+    if len(sizes_hw) < 2:
+        return Lanes(reason="1: there is only one camera")
     if most < 2:
-        return Lanes(reason=_obstacle(len(sizes_hw), is_asked=is_asked))
+        is_wanted = is_asked and processors() > 1
+        return Lanes(reason="1: as set" if is_wanted else "1: there is one processor")
     if is_asked:
         return Lanes(_warm_lanes(detector, most, sizes_hw), f"{most}: as set")
     if detector.runtime.device != "cpu":
         return Lanes(reason=f"1: {detector.runtime.device} runs one frame at a time")
     return _fastest(detector, most, sizes_hw, measure, resident)
-
-
-def _obstacle(cameras: int, *, is_asked: bool) -> str:
-    """Why only one frame at a time is in progress."""
-    if cameras < 2:
-        return "1: there is only one camera"
-    return "1: as set" if is_asked and processors() > 1 else "1: there is one processor"
 
 
 def _fastest(

@@ -40,12 +40,6 @@ def subscribed(cameras: Sequence[str]) -> list[str]:
     return [of_camera(topic, camera) for camera in cameras for topic in _SUBSCRIBED]
 
 
-def used_otherwise(camera: str, cameras: Sequence[str]) -> list[str]:
-    """Topics of the node with these `cameras`, except the images of `camera`."""
-    images = [of_camera(topic, camera) for topic in COLOUR_IMAGES]
-    return [topic for topic in (*published(cameras), *subscribed(cameras)) if topic not in images]
-
-
 def endpoint_name(node: Node, topic: str) -> str:
     """Name with which to create the endpoint of `topic`, before remapping.
 

@@ -6,7 +6,7 @@ import statistics
 import threading
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 _MIN_SPAN_S = 1e-3  # minimum time span for a meaningful rate
@@ -42,12 +42,6 @@ class FrameBalance:
     def __getitem__(self, outcome: Outcome) -> int:
         return self.outcomes[outcome]
 
-    def __str__(self) -> str:
-        counted = ", ".join(f"{count} {outcome.value}" for outcome, count in self.outcomes.items() if count)
-        return f"{self.received} frames received, {self.pending} pending" + (
-            f", {counted}" if counted else ""
-        )
-
 
 class FrameCounter:
     """Counts received and finished frames, in any thread."""
@@ -76,8 +70,6 @@ class FrameCounter:
 class EmptyRun:
     """The current run of consecutive frames without detections."""
 
-    threshold: float
-    """Score threshold for classes without their own."""
     frames: int = 0
     begun_s: float = 0.0
     ended_s: float = 0.0
@@ -85,34 +77,32 @@ class EmptyRun:
     """The highest score below the threshold, 0 if none was worth reporting."""
     best_filtered: float = 0.0
     """The highest score above the threshold excluded by regions or box size, 0 if none."""
-    has_class_thresholds: bool = False
-    """Whether some classes have their own threshold."""
 
     @property
     def duration_s(self) -> float:
         return self.ended_s - self.begun_s
+
+    def longer(self, now_s: float, best_missed: float, best_filtered: float) -> EmptyRun:
+        """With one more frame, at `now_s` (monotonic seconds)."""
+        return EmptyRun(
+            frames=self.frames + 1,
+            begun_s=self.begun_s if self.frames else now_s,
+            ended_s=now_s,
+            best_missed=max(best_missed, self.best_missed),
+            best_filtered=max(best_filtered, self.best_filtered),
+        )
 
 
 @dataclass
 class EmptyFrames:
     """Counts consecutive frames without detections; one thread adds, any thread may read `run`."""
 
-    run: EmptyRun
+    run: EmptyRun = EmptyRun()
 
     def add(self, now_s: float, found: int, *, best_missed: float, best_filtered: float = 0.0) -> None:
         """Add a frame with `found` detections at `now_s` (monotonic seconds)."""
         before = self.run
-        if found:
-            self.run = EmptyRun(before.threshold, has_class_thresholds=before.has_class_thresholds)
-        else:
-            self.run = replace(
-                before,
-                frames=before.frames + 1,
-                begun_s=before.begun_s if before.frames else now_s,
-                ended_s=now_s,
-                best_missed=max(best_missed, before.best_missed),
-                best_filtered=max(best_filtered, before.best_filtered),
-            )
+        self.run = EmptyRun() if found else before.longer(now_s, best_missed, best_filtered)
 
 
 @dataclass(frozen=True)

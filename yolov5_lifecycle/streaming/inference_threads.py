@@ -47,26 +47,6 @@ class Pipeline(Protocol):
         """
 
 
-class RateLimit:
-    """Admits at most `max_rate_hz` events per second on average; 0 admits all."""
-
-    def __init__(self, max_rate_hz: float) -> None:
-        self.max_rate_hz = max_rate_hz
-        self._due_s = 0.0
-
-    def admits(self, now_s: float) -> bool:
-        """Whether the event at `now_s` (monotonic seconds) is within the limit.
-
-        It keeps a schedule, not a minimum gap: 20 Hz out of a 30 Hz stream gives 20, not 15.
-        """
-        if self.max_rate_hz <= 0:
-            return True
-        if now_s < self._due_s:
-            return False
-        self._due_s = max(self._due_s + 1 / self.max_rate_hz, now_s)
-        return True
-
-
 class CameraQueue:
     """The newest frame of one camera, its rate limit and counts; only `InferenceThreads` uses it.
 
@@ -85,13 +65,13 @@ class CameraQueue:
         """The frame in progress; the next one waits for its end."""
         self.last_turn = 0
         """Number of its latest turn; the turns of all cameras are numbered together."""
-        self._rate_limit = RateLimit(0.0)
+        self._max_rate_hz = self._due_s = 0.0
 
     def start(self, pipeline: Pipeline, max_rate_hz: float) -> None:
         """Accept frames, for `pipeline`, from now on; an unchanged rate limit keeps its schedule."""
         self.pipeline = pipeline
-        if max_rate_hz != self._rate_limit.max_rate_hz:
-            self._rate_limit = RateLimit(max_rate_hz)
+        if max_rate_hz != self._max_rate_hz:
+            self._max_rate_hz, self._due_s = max_rate_hz, 0.0
 
     def stop(self) -> None:
         """Flush the waiting frame and accept no more."""
@@ -101,13 +81,18 @@ class CameraQueue:
             self.counter.finish(Outcome.FLUSHED)
 
     def receive(self, frame: Any, now_s: float) -> None:
-        """Count `frame`, received at `now_s`, and let it wait unless it is dropped."""
+        """Count `frame`, received at `now_s` (monotonic seconds), and let it wait unless it is dropped.
+
+        `max_rate_hz` is a schedule, not a minimum gap: 20 Hz out of a 30 Hz stream gives 20, not 15.
+        """
         self.counter.receive()
         if self.pipeline is None:
             self.counter.finish(Outcome.INACTIVE)
-        elif not self._rate_limit.admits(now_s):
+        elif now_s < self._due_s:
             self.counter.finish(Outcome.SKIPPED)
         else:
+            if self._max_rate_hz:
+                self._due_s = max(self._due_s + 1 / self._max_rate_hz, now_s)
             if self.frame is not None:
                 self.counter.finish(Outcome.STALE)
             self.frame = frame
@@ -126,11 +111,6 @@ class FrameTask:
     """Whether its first message, the detections, was sent or is being sent."""
     awaited_s: float | None = None
     """When the first wait for its end began, None before that."""
-
-    @property
-    def is_alone(self) -> bool:
-        """Whether no other frame may begin, because this one may use all processors."""
-        return self.network is self.pipeline.whole
 
 
 class InferenceThreads:
@@ -256,8 +236,8 @@ class InferenceThreads:
 
     def _next_task(self) -> FrameTask | None:
         """The next frame, begun: of the camera served longest ago that has a free network."""
-        if self._pauses or any(task.is_alone for task in self._tasks):
-            return None
+        if self._pauses or any(task.network is task.pipeline.whole for task in self._tasks):
+            return None  # a frame in `whole` may use all processors
         ready = [queue for queue in self._queues if queue.frame is not None and queue.task is None]
         for queue in sorted(ready, key=attrgetter("last_turn")):
             assert queue.pipeline is not None, "a stopped queue has no frame"

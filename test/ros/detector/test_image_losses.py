@@ -15,8 +15,8 @@ from sensor_msgs.msg import Image
 from support.detector_process import as_arguments, environment, is_matched_reliably
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, ReceivedFrame
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
+from yolov5_lifecycle.ros.detector.camera_topic import colour_topic
+from yolov5_lifecycle.ros.detector.image_input import ImageInput, ImageLosses, ReceivedFrame, Subscription
 from yolov5_lifecycle.ros.observer import Observer
 
 FRONT, REAR = b"front", b"rear"
@@ -38,6 +38,8 @@ def losses_after(*steps: Step) -> ImageLosses:
                 losses.take(number, now_ns)  # type: ignore[arg-type]
         elif what == "late":
             losses.take(values[0], now_ns - 2)  # type: ignore[arg-type]
+        elif what == "lose":
+            losses.lost += values[0]  # type: ignore[operator]
         elif what == "match":
             publisher, ever_matched, has_joined = values
             losses.match(publisher, ever_matched=ever_matched, has_joined=has_joined, now_ns=now_ns)  # type: ignore[arg-type]
@@ -151,13 +153,17 @@ class Receiver:
         self.node = Observer("receiver", domain=domain)
         # In the same participant: Fast DDS may hang when several of one process end (eProsima/Fast-DDS#6193).
         self.sender = rclpy.create_node("sender", context=self.node.context)
-        self.losses = ImageLosses()
         self.received: list[ReceivedFrame] = []
-        self.topic = ImageTopic(self.node, "raw")
-        self.input = self._subscribed()
+        self.topic = colour_topic(self.node, "raw")
+        self.input = ImageInput(self.received.append)
+        self.input.follow(self.topic, "auto")
+
+    @property
+    def losses(self) -> ImageLosses:
+        return self.input.losses
 
     def close(self) -> None:
-        self.input.close()
+        self.input.follow(None, "auto")
         self.sender.destroy_node()
         self.node.close()
 
@@ -172,11 +178,9 @@ class Receiver:
 
     def subscribe_again(self, publisher: Publisher, missed: int) -> None:
         """As a change of `image_reliability` does, while `missed` images are sent."""
-        self.input.close()
-        self.node.wait_for(lambda: publisher.get_subscription_count() == 0, "the end of the subscription")
         for _ in range(missed):
             publisher.publish(Image())
-        self.input = self._subscribed()
+        self.input.follow(self.topic, "reliable")
         self.node.wait_for(lambda: publisher.get_subscription_count() == 1, "the new subscription")
 
     def look(self) -> None:
@@ -188,15 +192,6 @@ class Receiver:
         for _ in range(count):
             publisher.publish(Image())
         self.node.wait_for(lambda: len(self.received) > before, "an image")
-
-    def _subscribed(self) -> ImageInput:
-        return ImageInput(
-            self.node,
-            topic=self.topic,
-            reliability="auto",
-            on_frame=self.received.append,
-            losses=self.losses,
-        )
 
 
 @pytest.fixture
@@ -265,3 +260,14 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.dropped_in_queue) == (2, 0, 4)
     (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
     assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE
+
+
+def test_an_override_of_the_depth_does_not_make_the_node_subscribe_again(ros_domain: int) -> None:
+    words = ["--ros-args", "-p", f"qos_overrides.{TOPIC}.subscription.depth:=5"]
+    with closing(Observer("context", domain=ros_domain)) as observer:
+        node = rclpy.create_node("receiver", context=observer.context, cli_args=words)
+        subscription = Subscription(colour_topic(node, "raw"), lambda _: None, depth=1)
+        assert subscription.follow()
+        assert not subscription.follow()
+        subscription.close()
+        node.destroy_node()

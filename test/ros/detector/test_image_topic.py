@@ -19,9 +19,9 @@ from std_msgs.msg import String
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.detector import image_topic
+from yolov5_lifecycle.ros.detector import camera_topic
+from yolov5_lifecycle.ros.detector.camera_topic import TopicStatus, colour_topic
 from yolov5_lifecycle.ros.detector.depth import DepthInput
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic, TopicStatus
 from yolov5_lifecycle.ros.observer import Observer
 
 # The node
@@ -99,7 +99,7 @@ def node(ros_domain: int) -> Iterator[Observer]:
 
 def test_the_time_without_a_publisher_of_the_right_type_grows_until_one_is_there(node: Observer) -> None:
     now_s = 100.0
-    topic = ImageTopic(node, "raw", clock=lambda: now_s)
+    topic = colour_topic(node, "raw", clock=lambda: now_s)
     assert topic.look().missing_s == 0.0
     now_s = 103.0
     assert topic.look().missing_s == 3.0
@@ -118,7 +118,7 @@ def test_topics_with_images_are_searched_seldom_and_only_those_with_publishers_a
     node: Observer,
 ) -> None:
     now_s = 0.0
-    topic = ImageTopic(node, "raw", clock=lambda: now_s)
+    topic = colour_topic(node, "raw", clock=lambda: now_s)
     node.create_subscription(Image, "/viewer/image_row", lambda _: None, 1)
     node.create_publisher(Image, "/viewer/image", 1)  # where the node itself publishes
     assert topic.look().similar == ()
@@ -175,14 +175,14 @@ class Looker:
     ) -> TopicStatus:
         """What is said of a camera whose ~/image_raw is remapped to `name`, or started with `words`."""
         node = Graph(published, words or (remapped(name) if name else []), self.context)
-        status = ImageTopic(node, transport).look()
+        status = colour_topic(node, transport).look()
         node.destroy_node()
         return status
 
 
 @pytest.fixture
 def looker(monkeypatch: pytest.MonkeyPatch) -> Iterator[Looker]:
-    monkeypatch.setattr(image_topic, "publishers_on", Graph.get_publishers_info_by_topic)
+    monkeypatch.setattr(camera_topic, "publishers_on", Graph.get_publishers_info_by_topic)
     looker = Looker()
     yield looker
     rclpy.shutdown(context=looker.context)
@@ -278,7 +278,7 @@ def test_the_nearest_form_is_advised(
 
 def test_the_images_of_a_named_camera_are_advised_with_its_name(looker: Looker) -> None:
     node = Graph({"/rear/image/compressed": JPEG}, [], looker.context)
-    status = ImageTopic(node, "raw", camera="rear").look()
+    status = colour_topic(node, "raw", camera="rear").look()
     words = "--ros-args -r '~/rear/image_raw:=/rear/image' -p rear.image_transport:=compressed"
     assert typed(status) == [shlex.split(words)]
     assert (status.similar, status.sent_as) == (("/rear/image/compressed",), "")
@@ -326,4 +326,4 @@ def test_depth_images_in_another_form_are_advised_too(
     depth.follow(is_needed=False)
     node.destroy_node()
     assert source is not None
-    assert (source.remedy, source.sent_as != "") == (advice, advice != "")
+    assert (source.remedy if source.sent_as else "") == advice

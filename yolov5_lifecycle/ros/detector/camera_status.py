@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
+from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.ros.detector.depth import DepthStatus
 from yolov5_lifecycle.ros.detector.image_input import InputStatus
-from yolov5_lifecycle.ros.detector.image_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.ros.topics import DETECTIONS, DETECTIONS_3D, IMAGE, MASKS, of_camera
+from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
 
 MANY_LOST = 4
@@ -36,7 +37,7 @@ class CameraStatus:
     `last_problem`: of its frames; `recent_failure`: the same while it lasts.
     `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
     `lost`, `dropped_in_queue`: images sent but not received since activation, as counted by `ImageLosses`.
-    `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
+    `settings`, `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
     `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
     space. `segments`: whether there is a model and it segments. `mask_subscribers`: subscriptions to masks.
     `busy_s`: time that inference has spent on the current image, in seconds. `collecting_problem`: why no
@@ -50,6 +51,7 @@ class CameraStatus:
     topic: TopicStatus
     subscribers_3d: int
     mask_subscribers: int
+    settings: Settings | None = None
     problem: str = ""
     input: InputStatus | None = None
     lost: int | None = None
@@ -75,7 +77,9 @@ class CameraStatus:
             )
         if self.topic.publishers == 0:
             return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
-        if self.input.reliability is ReliabilityPolicy.RELIABLE and self._offers_best_effort:
+        if self.input.reliability is ReliabilityPolicy.RELIABLE and any(
+            offer.reliability is ReliabilityPolicy.BEST_EFFORT for offer in self.topic.offers
+        ):
             return (
                 f"a best-effort publisher on {self.topic.name} does not match this reliable subscription: "
                 "set image_reliability to auto or best_effort"
@@ -112,11 +116,7 @@ class CameraStatus:
             return f"{idle}; {_missing(self.topic)}" if is_missing else idle
         if self.topic.publishers == 0:
             return f"waiting for a publisher of images on {self.topic.name}"
-        return _emptiness(self.empty) if self.empty is not None else ""
-
-    @property
-    def _offers_best_effort(self) -> bool:
-        return ReliabilityPolicy.BEST_EFFORT in self.topic.reliabilities
+        return _emptiness(self.empty, self.settings) if self.empty and self.settings else ""
 
     def values(self) -> dict[str, str]:
         """All values as strings, for diagnostics."""
@@ -139,7 +139,7 @@ class CameraStatus:
         return values | dict(self.tracking) | (self.depth_status.values() if self.depth_status else {})
 
 
-def _emptiness(empty: EmptyRun) -> str:
+def _emptiness(empty: EmptyRun, settings: Settings) -> str:
     """Report a long run of frames without detections."""
     if empty.duration_s <= EMPTY_S:
         return ""
@@ -153,10 +153,10 @@ def _emptiness(empty: EmptyRun) -> str:
             f"No detection in {empty.frames} frames: no score above {WORTH_TELLING:g}. Check the images, "
             "image_size and weights, or clear classes"
         )
-    also, plural = (" and class_thresholds", "s") if empty.has_class_thresholds else ("", "")
+    also, plural = (" and class_thresholds", "s") if settings.class_thresholds else ("", "")
     return (
         f"No detection in {empty.frames} frames: best score {empty.best_missed:.2g}, confidence_threshold "
-        f"{empty.threshold:g}{also}. Lower the threshold{plural}, or clear classes"
+        f"{settings.confidence_threshold:g}{also}. Lower the threshold{plural}, or clear classes"
     )
 
 

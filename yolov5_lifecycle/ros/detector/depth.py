@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus, depth_topics
 from yolov5_lifecycle.ros.detector.image_input import Subscription
-from yolov5_lifecycle.ros.detector.image_topic import (
-    COMPRESSED,
-    DISCOVERY_S,
-    RAW,
-    camera_of,
-    remedy,
-    similar_images,
-)
-from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
+from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
@@ -44,20 +35,6 @@ class PlacedImage:
         return [placed.distance_m if isinstance(placed, Box3D) else None for placed in self.placements]
 
 
-@dataclass
-class DepthCounts:
-    """What has been received and placed so far. Each number is written by one thread only."""
-
-    depth_images: int = 0
-    rejected_depth_images: int = 0
-    rejected_camera_infos: int = 0
-    placed_images: int = 0
-    """Images with a matching depth image and camera_info."""
-    unplaced_images: int = 0
-    placed: int = 0
-    unplaced: Counter[Unplaced] = field(default_factory=Counter)
-
-
 @dataclass(frozen=True)
 class RunWithoutDepth:
     """Consecutive images up to now whose detections could not be placed, with the reason for the last one."""
@@ -74,22 +51,6 @@ UNPLACED_S = 2.0
 
 
 @dataclass(frozen=True)
-class SourceStatus:
-    """A topic of the depth camera: its publishers of the right type, and the seconds without one.
-
-    `problem`: why subscribing failed, "" if it did not. `remedy`: what to type if the images are published in
-    another form, on `sent_as`; both "" if they are not.
-    """
-
-    name: str
-    publishers: int
-    missing_s: float
-    problem: str = ""
-    sent_as: str = ""
-    remedy: str = ""
-
-
-@dataclass(frozen=True)
 class DepthStatus:
     """Snapshot of depth, while the setting `depth` is true and the node active.
 
@@ -97,9 +58,9 @@ class DepthStatus:
     depth image or camera_info was rejected, "" if that was long ago.
     """
 
-    image: SourceStatus | None
-    camera_info: SourceStatus | None
-    counts: DepthCounts
+    image: TopicStatus | None
+    camera_info: TopicStatus | None
+    counts: Mapping[str, int]
     run: RunWithoutDepth | None
     recently_rejected: str
 
@@ -112,8 +73,9 @@ class DepthStatus:
             if source.problem:
                 return f"{source.problem}: detections have no place in space"
             if source.publishers == 0 and source.missing_s > DISCOVERY_S:
-                where = f" (but in another form on {source.sent_as})" if source.sent_as else ""
-                remedy = source.remedy or "start the depth camera, remap the topic or set depth to false"
+                where, remedy = "", "start the depth camera, remap the topic or set depth to false"
+                if source.sent_as:
+                    where, remedy = f" (but in another form on {source.sent_as})", source.remedy
                 return (
                     f"no publisher of {what} on {source.name}{where}: detections have no place in space; "
                     f"{remedy}"
@@ -131,18 +93,15 @@ class DepthStatus:
             values["depth topic"] = self.image.name
             values["depth publishers"] = str(self.image.publishers)
             values["camera_info publishers"] = str(self.camera_info.publishers)
-        values["depth images received"] = str(self.counts.depth_images)
-        values["depth images rejected"] = str(self.counts.rejected_depth_images)
-        values["camera_infos rejected"] = str(self.counts.rejected_camera_infos)
-        values["images with depth"] = str(self.counts.placed_images)
-        values["images without depth"] = str(self.counts.unplaced_images)
-        values["detections placed"] = str(self.counts.placed)
-        return values | {
-            f"unplaced: {reason.value}": str(self.counts.unplaced[reason]) for reason in Unplaced
-        }
+        return values | {name: str(count) for name, count in self.counts.items()}
 
 
 _QUEUE = 2
+_RECEIVED, _PLACED = "depth images received", "detections placed"
+_IMAGES_REJECTED, _INFOS_REJECTED = "depth images rejected", "camera_infos rejected"
+_WITH_DEPTH, _WITHOUT_DEPTH = "images with depth", "images without depth"
+_UNPLACED = {reason: f"unplaced: {reason.value}" for reason in Unplaced}
+_COUNTED = _RECEIVED, _IMAGES_REJECTED, _INFOS_REJECTED, _WITH_DEPTH, _WITHOUT_DEPTH, _PLACED
 
 
 @dataclass(eq=False)
@@ -170,19 +129,18 @@ class DepthInput:
         self._pairing: DepthPairing[tuple[DepthImage, str]] = DepthPairing(self.slop_s)
         """Depth images, each with the name of its coordinate frame."""
         self._intrinsics: Intrinsics | None = None
-        self.counts = DepthCounts()
+        self.counts = dict.fromkeys((*_COUNTED, *_UNPLACED.values()), 0)
+        """By their names in diagnostics; each number is written by one thread only."""
         self.run: RunWithoutDepth | None = None
         self._rejection, self._rejected_s = "", float("-inf")
 
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
         if is_needed and not self._subscriptions:
-            topics = [of_camera(topic, self.camera) for topic in (DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)]
+            image, camera_info = depth_topics(self.node, self.camera)
             self._subscriptions = [
-                Subscription(self.node, topics[0], Image, self.take_image, depth=_QUEUE),
-                Subscription(
-                    self.node, topics[1], CameraInfo, self.take_camera_info, depth=_QUEUE, takes_latched=True
-                ),
+                Subscription(image, self.take_image, depth=_QUEUE),
+                Subscription(camera_info, self.take_camera_info, depth=_QUEUE, takes_latched=True),
             ]
             self.update()
         elif not is_needed and self._subscriptions:
@@ -198,12 +156,7 @@ class DepthInput:
             subscription.follow()
 
     def status(self) -> DepthStatus:
-        image, camera_info = [
-            SourceStatus(each.name, each.publishers, each.missing_s, each.problem)
-            for each in self._subscriptions
-        ] or (None, None)
-        if image is not None and image.publishers == 0:
-            image = self._in_another_form(image)
+        image, camera_info = [each.status() for each in self._subscriptions] or (None, None)
         is_recent = self.clock() - self._rejected_s < RECENT_S
         return DepthStatus(
             image=image,
@@ -215,38 +168,34 @@ class DepthInput:
 
     def take_image(self, message: Image) -> None:
         """Keep a depth image, without a copy; reject one that cannot be read."""
-        self.counts.depth_images += 1
+        self.counts[_RECEIVED] += 1
         try:
             depth = depth_image_of_message(message), message.header.frame_id
         except ImageError as error:
-            self.counts.rejected_depth_images += 1
-            self._rejection, self._rejected_s = f"depth images are rejected: {error}", self.clock()
-            self.node.get_logger().warning(f"depth image rejected: {error}", throttle_duration_sec=5.0)
+            self._reject(_IMAGES_REJECTED, f"depth images are rejected: {error}")
             return
-        self._pairing.add(_nanoseconds(message.header.stamp), depth)
+        self._pairing.add(stamp_ns(message.header), depth)
 
     def take_camera_info(self, message: CameraInfo) -> None:
         """Use these intrinsics from now on; reject those of an uncalibrated camera."""
         try:
             self._intrinsics = intrinsics_of_message(message)
         except ImageError as error:
-            self.counts.rejected_camera_infos += 1
-            self._rejection, self._rejected_s = f"camera_info is rejected: {error}", self.clock()
-            self.node.get_logger().warning(f"camera_info rejected: {error}", throttle_duration_sec=5.0)
+            self._reject(_INFOS_REJECTED, f"camera_info is rejected: {error}")
 
-    def expect(self, stamp: Time) -> None:
-        """Keep the depth image nearest to the stamp of the image in progress until the next call."""
-        self._pairing.expect(_nanoseconds(stamp))
+    def expect(self, header: Header) -> None:
+        """Keep the depth image nearest in time to the image with this header until the next call."""
+        self._pairing.expect(stamp_ns(header))
 
     def place(
-        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], stamp: Time
+        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], header: Header
     ) -> PlacedImage | None:
-        """Place the boxes (n, 4) of the image with this stamp with the depth image nearest to it.
+        """Place the boxes (n, 4) of the image with this header with the depth image nearest in time.
 
         None, counted with the reason, if no depth image fits.
         """
         count, intrinsics = len(boxes_xyxy), self._intrinsics
-        paired = self._pairing.pair(_nanoseconds(stamp))
+        paired = self._pairing.pair(stamp_ns(header))
         if isinstance(paired, Unpaired):
             missing = Unplaced.NO_DEPTH_IMAGE
             self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
@@ -256,37 +205,24 @@ class DepthInput:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
         placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
-        no_place = Counter(placement for placement in placements if isinstance(placement, Unplaced))
-        self.counts.placed_images += 1
-        self.counts.placed += count - no_place.total()
-        self.counts.unplaced.update(no_place)
+        for placement in placements:
+            name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
+            self.counts[name] += 1
+        self.counts[_WITH_DEPTH] += 1
         self.run = None
         return PlacedImage(placements, frame_id)
+
+    def _reject(self, count: str, why: str) -> None:
+        self.counts[count] += 1
+        self._rejection, self._rejected_s = why, self.clock()
+        self.node.get_logger().warning(why, throttle_duration_sec=5.0)
 
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
         now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
         self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
-        self.counts.unplaced_images += 1
-        self.counts.unplaced[reason] += count
-
-    def _in_another_form(self, image: SourceStatus) -> SourceStatus:
-        """`image` with what to type if the same images are published by another transport."""
-        local = of_camera(DEPTH_IMAGE_RAW, self.camera)
-        name = full_name(self.node, local)
-        found = similar_images(
-            self.node,
-            name,
-            transport=RAW,
-            usable=(RAW,),
-            is_candidate=lambda other: camera_of(other) == camera_of(name),
-        )
-        # JPEG cannot hold distances.
-        best = min(found, key=lambda images: images.form == COMPRESSED, default=None)
-        if best is None:
-            return image
-        clause = remedy(self.node, best, topics={RAW: DEPTH_IMAGE_RAW}, transport=RAW, camera=self.camera)
-        return replace(image, sent_as=in_one_line(best.name), remedy=clause)
+        self.counts[_WITHOUT_DEPTH] += 1
+        self.counts[_UNPLACED[reason]] += count
 
 
 def _explained(
@@ -297,7 +233,3 @@ def _explained(
     sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
     colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
     return f"{reason.value}: images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
-
-
-def _nanoseconds(stamp: Time) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

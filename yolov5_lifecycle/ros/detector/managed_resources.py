@@ -16,12 +16,10 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota,
 from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.process.memory import resident_mb
-from yolov5_lifecycle.ros.detector.detector_camera import DetectorCamera, FrameFailures
 from yolov5_lifecycle.ros.detector.diagnostics import Status
-from yolov5_lifecycle.ros.detector.image_topic import ImageTopic
 from yolov5_lifecycle.ros.detector.model_loader import Background, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
-from yolov5_lifecycle.ros.detector.session import Session
+from yolov5_lifecycle.ros.detector.session import DetectorCamera, Session
 from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
@@ -37,7 +35,7 @@ class ManagedResources:
     `deactivate`; the collector of images, and the service with which somebody asks for one.
 
     The model loader exists from construction to `close`. `on_too_many(reason)`, whose result is awaited, and
-    `on_device_lost(reason)` are called in the executor; see `FrameFailures`. A frame in progress is waited
+    `on_device_lost(reason)` are called in the executor; see `Session`. A frame in progress is waited
     for `rest_timeout_s`.
     """
 
@@ -51,13 +49,6 @@ class ManagedResources:
 
     def __post_init__(self) -> None:
         self._cameras: dict[str, DetectorCamera] = {}
-        self._failures = FrameFailures(
-            self.node,
-            self._cameras,
-            max_consecutive=lambda: self.parameters.value("max_consecutive_failures"),
-            on_too_many=self.on_too_many,
-            on_device_lost=self.on_device_lost,
-        )
         self._track_ids = itertools.count(1)
         self._waits = Background(self.node, "waits")
         self._collector = _collector(self.parameters)
@@ -113,7 +104,6 @@ class ManagedResources:
         if self.session is None:
             self.session = self._new_session(self._label_info, self.loader.begin(settings))
         self.session.start(settings)
-        self._failures.restart()
         return self.session
 
     @asynccontextmanager
@@ -221,8 +211,7 @@ class ManagedResources:
 
     def _follow_subscribers(self) -> None:
         if self.session is not None:
-            for stream in self.session.streams.values():
-                stream.follow_subscribers()
+            self.session.follow_subscribers()
 
     def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:
         """The size of each camera's last image, or a common size."""
@@ -235,8 +224,7 @@ class ManagedResources:
             del self._cameras[name]
         for name in names:
             if name not in self._cameras:
-                topic = ImageTopic(self.node, "raw", camera=name, cameras=self._names)
-                self._cameras[name] = DetectorCamera(name, topic, self._failures)
+                self._cameras[name] = DetectorCamera(self.node, name, self._names)
 
     def _names(self) -> tuple[str, ...]:
         """The cameras that the parameters name; valid even if other settings are not."""
@@ -254,6 +242,8 @@ class ManagedResources:
             label_info=label_info,
             track_ids=self._track_ids,
             collector=self._collector,
+            on_too_many=self.on_too_many,
+            on_device_lost=self.on_device_lost,
         )
 
 

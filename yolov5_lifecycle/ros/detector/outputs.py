@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, Detection3DArray, LabelInfo
@@ -45,7 +45,7 @@ class Outputs:
     `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
     leaves.
 
-    Raises rclpy's exception if a publisher cannot be created, after destroying the others.
+    Raises rclpy's exception if a publisher cannot be created.
     """
 
     node: LifecycleNode
@@ -55,16 +55,11 @@ class Outputs:
 
     def __post_init__(self) -> None:
         self._events = PublisherEventCallbacks(matched=lambda _: self.on_subscribers_changed())
-        self._publishers: list[LifecyclePublisher] = []
-        try:
-            self.detections = self._publisher(Detection2DArray, DETECTIONS, QoSProfile(depth=10))
-            self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, QoSProfile(depth=10))
-            self._masks = self._publisher(Image, MASKS, _newest())
-            self._image = self._publisher(Image, IMAGE, _newest())
-            self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, _newest())
-        except Exception:
-            self.close()
-            raise
+        self.detections = self._publisher(Detection2DArray, DETECTIONS, depth=10)
+        self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, depth=10)
+        self._masks = self._publisher(Image, MASKS, depth=1)
+        self._image = self._publisher(Image, IMAGE, depth=1)
+        self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, depth=1)
 
     @property
     def subscribers(self) -> int:
@@ -84,9 +79,8 @@ class Outputs:
     @property
     def image_subscribers(self) -> int:
         """Number of subscriptions that need annotated images."""
-        return sum(
-            int(publisher.get_subscription_count()) for publisher in (self._image, self._compressed_image)
-        )
+        compressed = self._compressed_image.get_subscription_count()
+        return int(self._image.get_subscription_count() + compressed)
 
     def masks_message(self, label_image: NDArray[np.uint16], header: Header) -> Send:
         """A message with the detection that each pixel (H, W) belongs to; see `Detections.label_image`."""
@@ -110,16 +104,15 @@ class Outputs:
             yield partial(self._compressed_image.publish, message)
 
     def close(self) -> None:
-        for publisher in self._publishers:
+        """Destroy the publishers."""
+        of_images = self._masks, self._image, self._compressed_image
+        for publisher in (self.detections, self.detections_3d, *of_images):
             # destroy_publisher would leave it in the list of managed entities.
             self.node.destroy_lifecycle_publisher(publisher)
-        self._publishers.clear()
 
-    def _publisher(self, message_type: type, topic: str, qos: QoSProfile) -> LifecyclePublisher:
+    def _publisher(self, message_type: type, topic: str, *, depth: int) -> LifecyclePublisher:
         name = of_camera(topic, self.camera)
-        publisher = _created(self.node, message_type, name, qos, self._events)
-        self._publishers.append(publisher)
-        return publisher
+        return _created(self.node, message_type, name, QoSProfile(depth=depth), self._events)
 
 
 def _created(
@@ -136,7 +129,3 @@ def _created(
         event_callbacks=events,
         qos_overriding_options=overriding_options(node, topic, "publisher"),
     )
-
-
-def _newest() -> QoSProfile:
-    return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

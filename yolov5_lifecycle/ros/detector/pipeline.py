@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from vision_msgs.msg import Detection2DArray
-
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Origin
 from yolov5_lifecycle.detection.detections import Detections
@@ -73,20 +71,15 @@ class CameraPipeline:
         return self.model.lanes.detectors
 
     def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
-        """Read the image and detect objects in it. Raises ImageError for an unreadable image."""
-        image = self._read(frame)
-        return DetectedFrame(frame, image, network.detect(image, self.wanted))
+        """Read the image, keep the depth image nearest to it, and detect objects.
 
-    def _read(self, frame: ReceivedFrame) -> ColourImage:
-        """Read the image of `frame`; note its size, and keep the depth image nearest to it.
-
-        Raises ImageError for an unreadable one, which changes nothing.
+        Raises ImageError for an unreadable image, which changes nothing.
         """
         image = messages.image_of_message(frame.message)
         self.last_image.size_hw = image.size_hw
         if self.depth is not None:
-            self.depth.expect(frame.message.header.stamp)
-        return image
+            self.depth.expect(frame.message.header)
+        return DetectedFrame(frame, image, network.detect(image, self.wanted))
 
     @property
     def wanted(self) -> Selection:
@@ -118,36 +111,23 @@ class CameraPipeline:
             detections = self.tracking.follow(detections, result.image, self.selection, stamp_s)
         array = messages.detection_array(detections, self.whole.class_names, header)
         yield partial(self.outputs.detections.publish, array)
-        self._note(detections, result.frame.received_s)
-        placed = self._placed(array, detections, result.image)
+        now_s = time.monotonic()
+        self.latencies.add(now_s, (now_s - result.frame.received_s) * 1e3)
+        self.empty_frames.add(
+            now_s, len(detections), best_missed=detections.best_missed, best_filtered=detections.best_filtered
+        )
+        # An image without depth gets no message: an empty one would mean that there are no objects.
+        placed: PlacedImage | None = None
+        if self.depth is not None and self.outputs.subscribers_3d + self.outputs.image_subscribers > 0:
+            placed = self.depth.place(detections.boxes_xyxy, result.image.size_hw, header)
         if placed is not None and self.outputs.subscribers_3d > 0:
             message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
             yield partial(self.outputs.detections_3d.publish, message)
         yield from self._images(result, detections, placed.distances_m if placed else ())
         if self.collecting is not None:
-            message = result.frame.message
-            jpeg = messages.jpeg_of_message(message, result.image)
+            jpeg = messages.jpeg_of_message(result.frame.message, result.image)
             origin = Origin(header.frame_id, header.stamp.sec, header.stamp.nanosec)
             self.collecting.look(result.found, detections, result.image, jpeg, origin)
-
-    def _note(self, detections: Detections, received_s: float) -> None:
-        """Add the frame whose detections were published to the statistics."""
-        now_s = time.monotonic()
-        self.latencies.add(now_s, (now_s - received_s) * 1e3)
-        self.empty_frames.add(
-            now_s, len(detections), best_missed=detections.best_missed, best_filtered=detections.best_filtered
-        )
-
-    def _placed(
-        self, array: Detection2DArray, detections: Detections, image: ColourImage
-    ) -> PlacedImage | None:
-        """The places of the detections; None if nobody needs them, or there is no depth image.
-
-        An image without depth gets no message: an empty one would mean that there are no objects.
-        """
-        if self.depth is None or self.outputs.subscribers_3d + self.outputs.image_subscribers == 0:
-            return None
-        return self.depth.place(detections.boxes_xyxy, image.size_hw, array.header.stamp)
 
     def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
