@@ -129,7 +129,7 @@ def _check_node(node: Any) -> None:
             "nms=False, or use the .pt"
         )
     for attribute in node.attribute:
-        for array in (attribute.t, *attribute.tensors):
+        for array in (*attribute.tensors, *([attribute.t] if attribute.HasField("t") else [])):
             _check_array(array)
 
 
@@ -139,12 +139,12 @@ def _check_array(array: Any) -> None:
             f"the numbers of {shown(array.name)} lie in another file, which is not opened: export the model "
             "again, as one file"
         )
-    elements = math.prod(array.dims)
+    elements, element_bytes = math.prod(array.dims), _BYTES.get(array.data_type, 0)
     if array.HasField("raw_data"):
-        is_whole = elements * _BYTES.get(array.data_type, 0) == len(array.raw_data)
+        is_whole = elements * element_bytes == len(array.raw_data)
     else:
         is_whole = elements <= _MAX_UNPACKED
-    if not is_whole or min(array.dims, default=1) < 0:
+    if not is_whole or not element_bytes or min(array.dims, default=1) < 0:
         raise WeightsError(
             f"the array {shown(array.name)} of shape {shown(list(array.dims))} and kind {array.data_type} "
             f"has {len(array.raw_data)} bytes: copy or export the file again"
