@@ -269,6 +269,26 @@ def downloaded(server: FileServer, path: Path, *, stall_s: float = 20) -> bytes:
     return path.read_bytes()
 
 
+def continuing(pause_s: float) -> Behaviour:
+    """`100 Continue` for as long as the server lives and the client listens."""
+
+    def behave(request: ServedRequest) -> None:
+        with contextlib.suppress(OSError):  # the client may have had enough
+            while not request.server.closing.wait(pause_s):
+                request.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+
+    return behave
+
+
+@pytest.mark.parametrize("pause_s", [0, 0.05], ids=["as fast as it can", "now and then"])
+def test_a_server_that_says_continue_without_end_is_not_listened_to(tmp_path: Path, pause_s: float) -> None:
+    with (
+        FileServer(continuing(pause_s)) as server,
+        pytest.raises(DownloadError, match=r"no answer \(its header was not complete after 1 s\)"),
+    ):
+        downloaded(server, tmp_path / "file", stall_s=0.5)
+
+
 def test_an_answer_after_continue_is_taken(tmp_path: Path) -> None:
     def behave(request: ServedRequest) -> None:
         request.send_response_only(100)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from http.client import HTTPException, HTTPMessage, HTTPResponse
@@ -141,8 +142,7 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse | None:
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
         request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
-        response: HTTPResponse = build_opener(SafeRedirects).open(request, timeout=stall_s)
-        return response
+        return _opened_url(request, stall_s)
     except HTTPError as error:
         error.close()
         if error.code == _RANGE_NOT_SATISFIABLE and start:
@@ -153,6 +153,30 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse | None:
     except _BROKEN as error:
         reason = _short(getattr(error, "reason", error)) or type(error).__name__
         raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
+
+
+def _opened_url(request: Request, stall_s: float) -> HTTPResponse:
+    """The response after redirects; TimeoutError unless its header is complete within twice `stall_s`.
+
+    That needs a thread, left to itself then: http.client skips responses `100 Continue` without end.
+    """
+    answers: list[HTTPResponse] = []
+    problems: list[Exception] = []
+
+    def run() -> None:
+        try:
+            answers.append(build_opener(SafeRedirects).open(request, timeout=stall_s))
+        except Exception as error:  # noqa: BLE001 - raised below
+            problems.append(error)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(2 * stall_s)
+    if problems:
+        raise problems.pop()
+    if not answers:
+        raise TimeoutError(f"its header was not complete after {2 * stall_s:g} s")
+    return answers.pop()
 
 
 def _short(foreign: object) -> str:
