@@ -192,7 +192,7 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "30,000 nodes": (lambda: glued(field(1, b"") * 30_000), "has 30,000 operations"),
     "2,000 messages deep": (deep, "damaged, cut short or no ONNX model"),
-    "a branch": (changed(branch), "branches or loops"),
+    "a branch": (changed(branch), "has the operation 'If'"),
     "a function": (
         changed(lambda model: model.functions.add(name="f", domain="own")),
         "it has functions",
@@ -209,7 +209,7 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "random numbers": (changed(add(node("RandomNormal", shape=[9]))), "has the operation 'RandomNormal'"),
     "boxes selected": (
         changed(add(node("NonMaxSuppression", "rows", "rows"))),
-        "export it again with nms=False",
+        "export it again with nms=False, or use the .pt",
     ),
     "opset 0": (
         changed(lambda model: setattr(model.opset_import[0], "version", 0)),
@@ -218,8 +218,8 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "no opset": (changed(lambda model: model.ClearField("opset_import")), "no version of its operations"),
     "weights in another file": (changed(other_file), "lie in another file"),
     "a constant in another file": (changed(other_file_of_a_constant), "lie in another file"),
-    "an array of 16 Ti numbers": (dimensions(1 << 22, 1 << 22), "of shape [4194304, 4194304] has"),
-    "an array of negative size": (dimensions(-1), "has the shape [-1]"),
+    "an array of 16 Ti numbers": (dimensions(1 << 22, 1 << 22), "of shape [4194304, 4194304] and kind 1 has"),
+    "an array of negative size": (dimensions(-1), "of shape [-1] and kind 1 has"),
     "strides of 0": (
         changed(lambda model: attribute(model, "strides").ints.__setitem__(0, 0)),
         "strides that are not positive",

@@ -5,19 +5,18 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple, Union
+from typing import Any
 
 import onnx
 
-from yolov5_lifecycle.checkpoints.onnx_trace import Shape, Trace
+from yolov5_lifecycle.checkpoints.onnx_trace import Shape, Trace, images_of
 from yolov5_lifecycle.models.cost import Cost
 from yolov5_lifecycle.models.model import MAX_CLASSES, Export, WeightsError, check_class_names, shown
 
 MAX_NODES = 5_000
 """The export of YOLOv5x6 has about 1,000."""
-_MAX_DIMENSIONS = 8
 _MAX_BATCH = 64
 _ANY_STRIDE = 64
 """What the largest models need; exports before v6.2 do not tell theirs."""
@@ -50,108 +49,88 @@ MAX_FIELDS = 200_000
 """Fields of all messages on the way to the numbers; the export of YOLOv5x6 has about 40,000."""
 MAX_STRUCTURE_BYTES = 4 << 20
 """All of a file but its raw numbers; the export of YOLOv5x6 has 0.3 MB."""
-Value = Union[int, memoryview]  # noqa: UP007 - the new form cannot be evaluated by 3.10
 _Places = Mapping[int, "_Places | None"]
 _NUMBERS: _Places = {7: {5: {9: None}, 1: {5: {5: {9: None}}}}}
 """Field numbers on the way to raw numbers: graph, array or graph, node, attribute, array; None is the end."""
+_VARINT, _WITH_LENGTH = 0, 2
 _FIXED_BYTES = {1: 8, 5: 4}
 _MAX_VARINT_BYTES = 10
 
 
-class _Images(NamedTuple):
-    """What the graph reads; None where any number or size is taken."""
-
-    name: str
-    is_half: bool
-    batch: int | None
-    channels: int
-    size_hw: tuple[int, int] | None
-
-
 def read_onnx(data: bytes) -> Export:
     """The export in the bytes of an ONNX file, which is not run. Raises WeightsError."""
-    model = _parsed(data)
+    _check_structure(data)
+    try:
+        model: Any = onnx.load_from_string(data)
+    except Exception:  # noqa: BLE001 - DecodeError of protobuf, which only onnx depends on
+        raise _damaged("its messages") from None
     _check_graph(model)
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     _check_task(metadata)
-    images = _images(model.graph)
-    stride = _stride(metadata, images.size_hw)
+    is_half, batch, channels, size_hw = _images(images_of(model))
+    stride = _stride(metadata, size_hw)
     side = math.ceil(_SMALL_SIDE / stride) * stride
-    trace = Trace(model, images.name, _planes(images, images.size_hw or (side, side)))
+    trace = Trace(model, (batch or 1, channels, *(size_hw or (side, side))))
     shapes = [trace.shapes[output.name] for output in model.graph.output]
-    boxes, prototypes = _placed(shapes, images.batch or 1)
+    boxes, prototypes = _placed(shapes, batch or 1)
     masks = 0 if prototypes is None else shapes[prototypes][1]
     names = _told_names(metadata)
     has_objectness, classes = _layout(shapes[boxes], masks, names)
     return Export(
         graph=data,
         class_names=check_class_names(names or {}, classes, remedy="export the model again, with its names"),
-        channels=images.channels,
+        channels=channels,
         stride=stride,
-        is_half=images.is_half,
+        is_half=is_half,
         has_objectness=has_objectness,
         mask_coefficients=masks,
         boxes=boxes,
         prototypes=prototypes,
-        size_hw=images.size_hw,
-        batch=images.batch,
+        size_hw=size_hw,
+        batch=batch,
     )
 
 
 def export_cost(export: Export, size_hw: tuple[int, int]) -> Cost:
     """The cost of a run for images of `size_hw`; raises WeightsError if it is out of proportion."""
     model = onnx.load_from_string(export.graph)
-    images = _images(model.graph)
-    return Trace(model, images.name, _planes(images, size_hw)).cost
-
-
-def _planes(images: _Images, size_hw: tuple[int, int]) -> Shape:
-    return (images.batch or 1, images.channels, *size_hw)
-
-
-def _parsed(data: bytes) -> Any:
-    _check_structure(data)
-    try:
-        model = onnx.load_from_string(data)
-    except Exception:  # noqa: BLE001 - DecodeError of protobuf, which only onnx depends on
-        raise _damaged("its messages") from None
-    if not model.graph.node:
-        raise _damaged("it has no graph")
-    return model
+    return Trace(model, (export.batch or 1, export.channels, *size_hw)).cost
 
 
 def _check_graph(model: Any) -> None:
     """Raise WeightsError for what could read files, or whose cost cannot be told."""
     graph = model.graph
+    if not graph.node:
+        raise _damaged("it has no graph")
     if len(graph.node) > MAX_NODES:
         raise WeightsError(f"the graph has {len(graph.node):,} operations, at most {MAX_NODES:,} are read")
     if sum(opset.domain in ("", "ai.onnx") for opset in model.opset_import) != 1:
         raise _damaged("no version of its operations, or two")
     if model.functions or model.training_info or graph.sparse_initializer:
         raise WeightsError("it has functions, training or sparse arrays, which no export of YOLO has")
-    for node in graph.node:
-        if node.domain not in ("", "ai.onnx"):
-            raise WeightsError(f"the graph has operations of {shown(node.domain)}, which are not run")
-        if any(
-            each.HasField("g") or each.graphs or each.HasField("sparse_tensor") for each in node.attribute
-        ):
-            raise WeightsError("the graph has branches or loops, which no export of YOLO has: use the .pt")
-        if node.op_type not in OPERATIONS:
-            raise WeightsError(
-                f"the graph has the operation {shown(node.op_type)}: an export that selects boxes itself or "
-                "does anything else but compute them is not read; export it again with nms=False"
-            )
-    for array in _arrays(graph):
+    for array in graph.initializer:
         _check_array(array)
-
-
-def _arrays(graph: Any) -> Iterator[Any]:
-    yield from graph.initializer
     for node in graph.node:
-        for attribute in node.attribute:
-            yield from attribute.tensors
-            if attribute.HasField("t"):
-                yield attribute.t
+        _check_node(node)
+
+
+def _check_node(node: Any) -> None:
+    if node.domain not in ("", "ai.onnx"):
+        raise WeightsError(f"the graph has operations of {shown(node.domain)}, which are not run")
+    inner = [each for each in node.attribute if each.HasField("g") or each.graphs]
+    if (
+        node.op_type not in OPERATIONS
+        or inner
+        or any(each.HasField("sparse_tensor") for each in node.attribute)
+    ):
+        raise WeightsError(
+            f"the graph has the operation {shown(node.op_type)}: an export that selects boxes itself, has "
+            "branches or loops or does anything else but compute boxes is not read; export it again with "
+            "nms=False, or use the .pt"
+        )
+    for attribute in node.attribute:
+        for array in (*attribute.tensors, *([attribute.t] if attribute.HasField("t") else [])):
+            _check_array(array)
 
 
 def _check_array(array: Any) -> None:
@@ -160,28 +139,24 @@ def _check_array(array: Any) -> None:
             f"the numbers of {shown(array.name)} lie in another file, which is not opened: export the model "
             "again, as one file"
         )
-    if array.data_type not in _BYTES:
-        raise WeightsError(f"the array {shown(array.name)} holds numbers of kind {array.data_type}")
-    if len(array.dims) > _MAX_DIMENSIONS or min(array.dims, default=1) < 0:
-        raise WeightsError(f"the array {shown(array.name)} has the shape {shown(list(array.dims[:9]))}")
-    elements = math.prod(array.dims)
+    elements, element_bytes = math.prod(array.dims), _BYTES.get(array.data_type, 0)
     if array.HasField("raw_data"):
-        is_whole = elements * _BYTES[array.data_type] == len(array.raw_data)
+        is_whole = elements * element_bytes == len(array.raw_data)
     else:
         is_whole = elements <= _MAX_UNPACKED
-    if not is_whole:
+    if not is_whole or not element_bytes or min(array.dims, default=1) < 0:
         raise WeightsError(
-            f"the array {shown(array.name)} of shape {shown(list(array.dims))} has {len(array.raw_data)} "
-            "bytes: copy or export the file again"
+            f"the array {shown(array.name)} of shape {shown(list(array.dims))} and kind {array.data_type} "
+            f"has {len(array.raw_data)} bytes: copy or export the file again"
         )
 
 
-def _images(graph: Any) -> _Images:
-    arrays = {array.name for array in graph.initializer}  # torch before 1.5 lists weights as inputs, too
-    found = [each for each in graph.input if each.name not in arrays]
-    if len(found) != 1:
-        raise WeightsError(f"expected a graph that reads images only, found {len(found)} inputs")
-    tensor = found[0].type.tensor_type
+def _images(images: Any) -> tuple[bool, int | None, int, tuple[int, int] | None]:
+    """Whether `images`, what the graph reads, are of float16; their number, channels, height and width.
+
+    None stands for any. Raises WeightsError.
+    """
+    tensor = images.type.tensor_type
     planes: list[Any] = [each.dim_value if each.HasField("dim_value") else None for each in tensor.shape.dim]
     if tensor.elem_type not in (_FLOAT, _HALF) or len(planes) != 4 or planes[1] not in (1, 3):
         raise WeightsError(
@@ -189,14 +164,13 @@ def _images(graph: Any) -> _Images:
             f"the element type {tensor.elem_type}: an export with its own preprocessing is not read"
         )
     batch, channels, *sides = planes
-    if (None in sides and sides != [None, None]) or not 0 < (1 if batch is None else batch) <= _MAX_BATCH:
+    is_any_size = sides == [None, None]
+    if (None in sides and not is_any_size) or not 0 < (1 if batch is None else batch) <= _MAX_BATCH:
         raise WeightsError(
             f"expected height and width both fixed or both free, and batches of 1 to {_MAX_BATCH}, found "
             f"{shown(planes)}"
         )
-    height, width = sides
-    size_hw = None if height is None or width is None else (height, width)
-    return _Images(found[0].name, tensor.elem_type == _HALF, batch, channels, size_hw)
+    return tensor.elem_type == _HALF, batch, channels, None if is_any_size else (sides[0], sides[1])
 
 
 def _stride(metadata: Mapping[str, str], size_hw: tuple[int, int] | None) -> int:
@@ -273,58 +247,45 @@ def _check_structure(data: bytes) -> None:
 
     Before the package onnx makes an object of each part: a hundred bytes of every two of a hostile file.
     """
-    structure = _Reader().bytes_without_numbers(memoryview(data), _NUMBERS)
-    if structure > MAX_STRUCTURE_BYTES:
+    structure_bytes, fields = len(data), 0
+    messages = [(memoryview(data), _NUMBERS)]
+    while messages:
+        message, places = messages.pop()
+        place = 0
+        while place < len(message):
+            fields += 1
+            if fields > MAX_FIELDS:
+                raise WeightsError(f"the file has more than {MAX_FIELDS:,} fields: no export of YOLO has")
+            key, begin, place = _field(message, place)
+            if key & 7 == _WITH_LENGTH and key >> 3 in places:
+                below = places[key >> 3]
+                if below is None:
+                    structure_bytes -= place - begin
+                else:
+                    messages.append((message[begin:place], below))
+    if structure_bytes > MAX_STRUCTURE_BYTES:
         raise WeightsError(
-            f"the file has {structure:,} bytes besides the raw numbers of its arrays, at most "
+            f"the file has {structure_bytes:,} bytes besides the raw numbers of its arrays, at most "
             f"{MAX_STRUCTURE_BYTES:,} are read: export the model again"
         )
 
 
-class _Reader:
-    """Reads messages of one file without a schema, at most `MAX_FIELDS` fields altogether."""
-
-    def __init__(self) -> None:
-        self._left = MAX_FIELDS
-
-    def bytes_without_numbers(self, message: memoryview, places: _Places) -> int:
-        """The length of `message` without the raw numbers, to which `places` lead."""
-        rest = len(message)
-        for number, value in self._fields(message):
-            if number in places and isinstance(value, memoryview):
-                below = places[number]
-                rest -= len(value)
-                rest += 0 if below is None else self.bytes_without_numbers(value, below)
-        return rest
-
-    def _fields(self, message: memoryview) -> Iterator[tuple[int, Value]]:
-        """Number and value of each field; no bytes are copied. Raises WeightsError."""
-        place = 0
-        while place < len(message):
-            self._left -= 1
-            if self._left < 0:
-                raise WeightsError(f"the file has more than {MAX_FIELDS:,} fields: no export of YOLO has")
-            key, place = _varint(message, place)
-            number, kind = key >> 3, key & 7
-            if kind == 0:
-                value, place = _varint(message, place)
-                yield number, value
-                continue
-            if kind == 2:
-                length, place = _varint(message, place)
-            elif kind in _FIXED_BYTES:
-                length = _FIXED_BYTES[kind]
-            else:
-                raise _damaged(f"a field of kind {kind}")
-            if length > len(message) - place:
-                raise _damaged(f"a field claims {length} bytes, {len(message) - place} are left")
-            yield number, message[place : place + length]
-            place += length
-
-
-def _damaged(found: str) -> WeightsError:
-    """The refusal of a file that is not a message of the expected kind."""
-    return WeightsError(f"the file is damaged, cut short or no ONNX model ({found}): copy or export it again")
+def _field(message: memoryview, place: int) -> tuple[int, int, int]:
+    """Number and kind of the field at `place` as one integer, and the begin and end of its value."""
+    key, begin = _varint(message, place)
+    kind, length = key & 7, 0
+    if kind == _VARINT:
+        _, end = _varint(message, begin)
+        return key, begin, end
+    if kind == _WITH_LENGTH:
+        length, begin = _varint(message, begin)
+    elif kind in _FIXED_BYTES:
+        length = _FIXED_BYTES[kind]
+    else:
+        raise _damaged(f"a field of kind {kind}")
+    if length > len(message) - begin:
+        raise _damaged(f"a field claims {length} bytes, {len(message) - begin} are left")
+    return key, begin, begin + length
 
 
 def _varint(data: memoryview, place: int) -> tuple[int, int]:
@@ -333,7 +294,10 @@ def _varint(data: memoryview, place: int) -> tuple[int, int]:
     for count, byte in enumerate(data[place : place + _MAX_VARINT_BYTES]):
         number |= (byte & 127) << (7 * count)
         if byte < 128:
-            if number >> 64:
-                break
             return number, place + count + 1
     raise _damaged("an integer without end")
+
+
+def _damaged(found: str) -> WeightsError:
+    """The refusal of a file that is not a message of the expected kind."""
+    return WeightsError(f"the file is damaged, cut short or no ONNX model ({found}): copy or export it again")

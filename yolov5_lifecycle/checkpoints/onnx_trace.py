@@ -35,21 +35,21 @@ class Trace:
     Raises WeightsError if the shape of a value cannot be told, or costs more than any model needs.
     """
 
-    def __init__(self, model: Any, images: str, planes: Shape) -> None:
+    def __init__(self, model: Any, planes: Shape) -> None:
         self.shapes: dict[str, Shape] = {}
         self._model = model
         self._types: dict[str, Any] = {}
         self._left = _MAX_COMPUTED
         self._known: dict[str, Any] = {}
         """Small values: lengths, sizes and places, as arrays of the package onnx."""
-        kind = next(each for each in model.graph.input if each.name == images).type.tensor_type.elem_type
         for array in model.graph.initializer:
             self._add(array.name, helper.make_tensor_type_proto(array.data_type, array.dims))
             if math.prod(array.dims) <= _MAX_KNOWN:
                 self._known[array.name] = array
         self._weights = sum(map(math.prod, self.shapes.values()))
-        self._pixels = planes[0] * planes[2] * planes[3]
-        self._add(images, helper.make_tensor_type_proto(kind, planes))
+        self._most_elements = MAX_ELEMENTS_PER_PIXEL * planes[0] * planes[2] * planes[3] + self._weights
+        images = images_of(model)
+        self._add(images.name, helper.make_tensor_type_proto(images.type.tensor_type.elem_type, planes))
         self.cost = self._traced(planes)
         try:
             check_proportions(self.cost)
@@ -82,28 +82,30 @@ class Trace:
 
     def _follow(self, node: Any) -> None:
         """Find the shapes of what `node` makes, and its values if they are small and known."""
-        for name in filter(None, node.input):
-            if name not in self._types:
-                raise WeightsError(
-                    f"{_named(node)} reads {shown(name)}, which nothing makes: export it again"
-                )
+        if lacking := [name for name in node.input if name and name not in self._types]:
+            raise WeightsError(
+                f"{_named(node)} reads {shown(lacking[0])}, which nothing makes: export it again"
+            )
+        for attribute in node.attribute:
+            if attribute.name in _POSITIVE and min([attribute.i or 1, *attribute.ints]) < 1:
+                raise WeightsError(f"{_named(node)} has {attribute.name} that are not positive")
         try:
             types = self._inferred(node)
-        except WeightsError:
-            raise
         except Exception as error:  # noqa: BLE001 - of many kinds
             raise WeightsError(f"{_named(node)} does not fit its inputs: {first_line(error)}") from None
         for name in filter(None, node.output):
             if name in self._types or name not in types:
                 raise WeightsError(f"{_named(node)} makes {shown(name)}, which has a value or none")
             self._add(name, types[name])
-            self._check_elements(node, name)
+            shape = self.shapes[name]
+            if min(shape, default=1) < 0 or math.prod(shape) > self._most_elements:
+                raise WeightsError(
+                    f"{_named(node)} would make an array of shape {shown(shape)}, at most "
+                    f"{self._most_elements:,} elements are computed"
+                )
         self._compute(node)
 
     def _inferred(self, node: Any) -> Any:
-        for attribute in node.attribute:
-            if attribute.name in _POSITIVE and min([attribute.i or 1, *attribute.ints]) < 1:
-                raise WeightsError(f"{_named(node)} has {attribute.name} that are not positive")
         opsets = list(self._model.opset_import)
         (version,) = (opset.version for opset in opsets if opset.domain in ("", "ai.onnx"))
         return shape_inference.infer_node_outputs(
@@ -124,14 +126,6 @@ class Trace:
             )
         self._types[name] = kind
         self.shapes[name] = tuple(each.dim_value for each in tensor.shape.dim)
-
-    def _check_elements(self, node: Any, name: str) -> None:
-        most = MAX_ELEMENTS_PER_PIXEL * self._pixels + self._weights
-        if min(self.shapes[name], default=1) < 0 or math.prod(self.shapes[name]) > most:
-            raise WeightsError(
-                f"{_named(node)} would make an array of shape {shown(self.shapes[name])}, at most {most:,} "
-                "elements are computed"
-            )
 
     def _elements(self, name: str) -> int:
         return math.prod(self.shapes[name]) if name else 0
@@ -155,22 +149,16 @@ class Trace:
         return is_small and is_known and self._left > 0 and node.op_type in _COMPUTED
 
     def _computed(self, node: Any) -> dict[str, Any]:
-        inputs = list(dict.fromkeys(filter(None, node.input)))
-        graph = helper.make_graph(
-            [node],
-            "node",
-            [helper.make_value_info(name, self._types[name]) for name in inputs],
-            [helper.make_value_info(name, self._types[name]) for name in node.output if name],
-        )
-        model = helper.make_model(
-            graph, opset_imports=self._model.opset_import, ir_version=self._model.ir_version
-        )
+        inputs, outputs = (list(dict.fromkeys(filter(None, names))) for names in (node.input, node.output))
+        ends = [[onnx.ValueInfoProto(name=name) for name in names] for names in (inputs, outputs)]
+        graph = helper.make_graph([node], "node", *ends)
+        versions = {opset.domain: opset.version for opset in self._model.opset_import}
+        values = {name: numpy_helper.to_array(self._known[name]) for name in inputs}
         with np.errstate(all="ignore"):
-            values = {name: numpy_helper.to_array(self._known[name]) for name in inputs}
-            found = ReferenceEvaluator(model).run(None, values)
-        names = filter(None, node.output)
+            found = ReferenceEvaluator(graph, opsets=versions).run(None, values)
         return {
-            name: numpy_helper.from_array(np.asarray(value)) for name, value in zip(names, found, strict=True)
+            name: numpy_helper.from_array(np.asarray(value))
+            for name, value in zip(outputs, found, strict=True)
         }
 
     def _multiply_adds(self, node: Any) -> int:
@@ -184,6 +172,15 @@ class Trace:
             return made * max(shapes[0][-2:], default=1)
         windows = [each.ints for each in node.attribute if each.name == "kernel_shape"]
         return made * math.prod(math.prod(sides) for sides in windows) + sum(map(math.prod, shapes))
+
+
+def images_of(model: Any) -> Any:
+    """The input of the graph; raises WeightsError unless there is one."""
+    arrays = {array.name for array in model.graph.initializer}  # torch before 1.5 lists them as inputs, too
+    found = [each for each in model.graph.input if each.name not in arrays]
+    if len(found) != 1:
+        raise WeightsError(f"expected a graph that reads images only, found {len(found)} inputs")
+    return found[0]
 
 
 def _named(node: Any) -> str:

@@ -26,6 +26,7 @@ from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, Stub, mod
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import AnchorsPx
 from yolov5_lifecycle.models.model import (
+    DTYPES,
     Model,
     WeightsError,
     blueprint,
@@ -34,8 +35,6 @@ from yolov5_lifecycle.models.model import (
     checked_model,
     shown,
 )
-
-_DTYPES = frozenset({torch.float32, torch.float16, torch.bfloat16, torch.float64, torch.int64, torch.int32})
 
 _ORIGINAL, _MASK = "_orig", "_mask"
 """What the names of a weight before pruning, and of the ones and zeros to multiply it by, end in."""
@@ -84,7 +83,7 @@ def _check_storages(tensors: Mapping[str, StoredTensor], archive: Archive) -> No
 def _check_sizes(tensors: Mapping[str, StoredTensor], file_bytes: int) -> None:
     """Raise WeightsError if tensors claim more bytes than the file has, or only a small part of it."""
     for key, tensor in tensors.items():
-        if tensor.dtype not in _DTYPES:
+        if tensor.dtype not in DTYPES:
             raise WeightsError(f"{shown(key)} holds {tensor.dtype}: not supported")
         if tensor.repeats_numbers:
             raise WeightsError(f"{shown(key)} has the strides {shown(tensor.strides)}: its numbers overlap")

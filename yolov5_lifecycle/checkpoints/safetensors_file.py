@@ -25,9 +25,7 @@ from yolov5_lifecycle.models.model import (
     MAX_CLASSES,
     Model,
     WeightsError,
-    blueprint,
     check_class_names,
-    check_fit,
     checked_integer,
     checked_model,
     first_line,
@@ -38,14 +36,6 @@ FORMAT = "yolov5_lifecycle 1"
 MAX_HEADER_BYTES = 16 << 20
 MAX_VALUES = 500_000
 """Of a JSON text, by its commas and brackets; an object of a few bytes takes up hundreds in memory."""
-_DTYPES = {
-    "F16": torch.float16,
-    "BF16": torch.bfloat16,
-    "F32": torch.float32,
-    "F64": torch.float64,
-    "I32": torch.int32,
-    "I64": torch.int64,
-}
 
 
 def write_safetensors(model: Model, path: Path) -> None:
@@ -88,8 +78,7 @@ def _number(argument: Argument) -> Argument:
 
 def read_safetensors(data: bytes) -> Model:
     """The model in the bytes of a file written by `write_safetensors`; raises WeightsError."""
-    header = _header(data)
-    metadata = header.pop("__metadata__", None)
+    metadata = _header(data).get("__metadata__")
     if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
         raise WeightsError(
             "this .safetensors file was not written by this package, so it lacks the architecture: "
@@ -99,7 +88,6 @@ def read_safetensors(data: bytes) -> Model:
     class_names = check_class_names(
         _json(metadata, "class_names"), architecture.classes, remedy="convert the original .pt again"
     )
-    check_fit(blueprint(architecture).state_dict(), _claimed(header))
     return checked_model(architecture, class_names, _tensors(data))
 
 
@@ -118,25 +106,6 @@ def _header(data: bytes) -> dict[str, Any]:
     if not isinstance(header, dict):
         raise WeightsError(f"this is not a .safetensors file: its header is {shown(header)}")
     return header
-
-
-def _claimed(header: Mapping[str, Any]) -> dict[str, torch.Tensor]:
-    """Meta tensors of the dtypes and shapes in the header, without data."""
-    claimed = {}
-    for key, entry in header.items():
-        dtype = entry.get("dtype") if isinstance(entry, dict) else None
-        if not isinstance(dtype, str) or dtype not in _DTYPES:
-            raise WeightsError(
-                f"the tensor {shown(key)} holds {shown(dtype)}, expected one of {', '.join(_DTYPES)}"
-            )
-        shape = entry.get("shape")
-        try:
-            claimed[key] = torch.empty(shape, dtype=_DTYPES[dtype], device="meta")
-        except (TypeError, ValueError, RuntimeError, OverflowError):
-            raise WeightsError(
-                f"the tensor {shown(key)} has the shape {shown(shape)}: copy it again"
-            ) from None
-    return claimed
 
 
 def _tensors(data: bytes) -> Mapping[str, torch.Tensor]:

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import os
-import re
-import stat
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from http.client import HTTPException, HTTPMessage, HTTPResponse
 from pathlib import Path
@@ -21,16 +16,16 @@ from urllib.request import HTTPRedirectHandler, Request, build_opener
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, load_weights
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.unfinished import open_itself
+from yolov5_lifecycle.unfinished import hold
 
-_IRREGULAR = "{}: expected a regular file, found a link, pipe or device: remove it"
 _STALL_S = 30.0
-
 _CHUNK_BYTES = 1 << 14
 _PARTIAL_CONTENT = 206
 _RANGE_NOT_SATISFIABLE = 416
 _MAX_SHOWN = 200
 _AGAIN = "run the command again to resume"
+_BROKEN = (OSError, HTTPException, ValueError, OverflowError)
+"""What an address or an answer may raise; OverflowError for a port above 65535."""
 
 Progress = Callable[[int, "int | None"], object]
 """Called with the bytes received so far and the total, None unless the server sends it."""
@@ -65,93 +60,37 @@ def fetch(
         raise DownloadError(
             f"{url}: expected an address with {{size}} in it, as in https://HOST/yolov5{{size}}.pt"
         )
+    url = url.replace("{size}", model)
     folder.mkdir(parents=True, exist_ok=True)
-    with _alone(folder):
-        return _downloaded(url.replace("{size}", model), target, sha256, stall_s, progress)
-
-
-def _downloaded(url: str, target: Path, sha256: str, stall_s: float, progress: Progress) -> WeightsFile:
     unfinished = target.with_suffix(".partial.pt")
-    found = _whole(unfinished, sha256)
-    if found is None:
-        try:
-            _append(url, unfinished, stall_s, progress)
-        except DownloadError as error:
-            otherwise = f"Or copy {target.name} into {target.parent} by other means."
-            raise DownloadError(f"{error}. {otherwise}") from None
-        found = _checked(unfinished, url, sha256)
-    unfinished.replace(target)
-    return replace(found, path=target.resolve())
-
-
-def _append(url: str, unfinished: Path, stall_s: float, progress: Progress) -> None:
-    with _opened(unfinished) as file:
+    with unfinished.open("ab") as file:
+        if not hold(file.fileno(), unfinished):
+            raise DownloadError(f"another fetch_weights is running in {folder}: wait until it has finished")
         try:
             download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
             file.flush()
             os.fsync(file.fileno())
-        except BaseException:
-            if os.fstat(file.fileno()).st_size == 0:  # nothing to resume
-                unfinished.unlink(missing_ok=True)
+        except BaseException as error:
+            if file.tell() == 0:  # nothing to resume
+                unfinished.unlink()
+            if isinstance(error, DownloadError):
+                raise DownloadError(f"{error}. Or copy {target.name} into {folder} by other means.") from None
             raise
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Lock `folder` against concurrent downloads, which would corrupt a shared file."""
-    with _opened(folder / ".fetch_weights.lock") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DownloadError(
-                f"another fetch_weights is running in {folder}: wait until it has finished"
-            ) from None
-        yield
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a file for appending, creating it if needed; raises DownloadError for a link, pipe or device."""
-    try:
-        with open(path, "ab", opener=open_itself) as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise DownloadError(_IRREGULAR.format(path))
-            yield file
-    except OSError as error:
-        if error.filename == str(path) and error.errno in (errno.ELOOP, errno.ENXIO):
-            raise DownloadError(_IRREGULAR.format(path)) from None
-        raise
-
-
-def _whole(path: Path, sha256: str) -> WeightsFile | None:
-    """The complete download of an earlier call that could not check it; None if there is none."""
-    try:
-        return load_weights(path, sha256=sha256) if path.exists() else None
-    except UncheckedError:
-        raise
-    except WeightsError:
-        return None
+        found = _checked(unfinished, url, sha256)
+        unfinished.replace(target)
+    return replace(found, path=target.resolve())
 
 
 def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
     """The downloaded model; an invalid file is removed, since it cannot be resumed."""
     try:
+        load_weights(path)  # why it is no model, as a login page is none, says more than its digest
         return load_weights(path, sha256=sha256)
     except UncheckedError as error:
         raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
     except WeightsError as error:
-        reason = _reason(path, error)
         path.unlink()
-        raise WeightsError(f"{url}: {str(reason).removeprefix(f'{path}: ')} It was removed.") from None
-
-
-def _reason(path: Path, error: WeightsError) -> WeightsError:
-    """Why the file at `path` is no model, as a login page is none: that says more than its digest."""
-    try:
-        load_weights(path)
-    except WeightsError as other:
-        return other
-    return error
+        raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')} It was removed.") from None
 
 
 def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progress: Progress) -> None:
@@ -161,14 +100,19 @@ def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progre
     connection fails, no data arrives for `stall_s` seconds or more than `max_bytes` do, and OSError if `file`
     cannot be written.
     """
-    with _answer(url, file.tell(), stall_s) as response:
-        start = _start_byte(response, url)
-        if start > file.tell():
+    start = file.tell()
+    response = _answer(url, start, stall_s)
+    if response is None:
+        return
+    with response:
+        if response.status != _PARTIAL_CONTENT:  # all of the file
+            start = 0
+            file.truncate(start)
+            file.seek(start)
+        elif not (content_range := response.headers.get("Content-Range", "")).startswith(f"bytes {start}-"):
             raise DownloadError(
-                f"{url}: requested bytes from {file.tell()} on, got them from {start} on; try a mirror"
+                f"{url}: requested bytes from {start} on, got {_short(content_range)!r}; try a mirror"
             )
-        file.truncate(start)
-        file.seek(start)
         total = None if response.length is None else start + response.length
         _check_size(url, total or 0, max_bytes)
         while chunk := _next_chunk(response, url, file.tell(), total, stall_s):
@@ -192,7 +136,8 @@ class SafeRedirects(HTTPRedirectHandler):
         return super().redirect_request(req, fp, code, msg, headers, newurl)
 
 
-def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
+def _answer(url: str, start: int, stall_s: float) -> HTTPResponse | None:
+    """The response with the bytes from `start` on, after redirects; None if there are none."""
     if not url.startswith(("https://", "http://")):
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
@@ -201,11 +146,11 @@ def _answer(url: str, start: int, stall_s: float) -> HTTPResponse:
     except HTTPError as error:
         error.close()
         if error.code == _RANGE_NOT_SATISFIABLE and start:
-            return _answer(url, 0, stall_s)
+            return None
         raise DownloadError(
             f"{url}: the server answers {error.code} {_short(error.reason)}; check the address"
         ) from None
-    except (OSError, HTTPException, ValueError, OverflowError) as error:  # OverflowError: port above 65535
+    except _BROKEN as error:
         reason = _short(getattr(error, "reason", error)) or type(error).__name__
         raise DownloadError(f"{url}: no answer ({reason}); check the address and the network") from None
 
@@ -238,20 +183,6 @@ def _short(foreign: object) -> str:
     return str(foreign)[:_MAX_SHOWN]
 
 
-def _start_byte(response: HTTPResponse, url: str) -> int:
-    """Offset of the first byte in the response: 0 unless the server sends the requested range."""
-    if response.status != _PARTIAL_CONTENT:
-        return 0
-    content_range = response.headers.get("Content-Range", "")
-    found = re.match(r"bytes (\d{1,18})-", content_range, re.ASCII)
-    if found is None:
-        raise DownloadError(
-            f"{url}: expected the range of a part as `bytes 100-200/300`, found {_short(content_range)!r}; "
-            "try a mirror"
-        )
-    return int(found[1])
-
-
 def _check_size(url: str, size_bytes: int, max_bytes: int) -> None:
     if size_bytes > max_bytes:
         raise DownloadError(f"{url}: {size_bytes} bytes or more, the limit is {max_bytes}; check the address")
@@ -266,6 +197,6 @@ def _next_chunk(
         return response.read1(min(left, _CHUNK_BYTES))
     except TimeoutError:
         reason = f"no data for {stall_s:g} s"
-    except (OSError, HTTPException, ValueError, OverflowError) as error:
+    except _BROKEN as error:
         reason = f"the connection broke ({type(error).__name__})"
     raise DownloadError(f"{url}: {reason}, after {done_bytes} bytes; {_AGAIN}")

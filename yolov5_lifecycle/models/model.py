@@ -14,6 +14,8 @@ from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_CLASSES = 10_000
+DTYPES = frozenset({torch.float32, torch.float16, torch.bfloat16, torch.float64, torch.int64, torch.int32})
+"""What the tensors of a weights file may hold."""
 _MAX_SHOWN = 60
 
 
@@ -153,7 +155,7 @@ def check_fit(expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor]) -> 
             raise WeightsError(
                 f"the tensor {key} has the shape {tuple(found.shape)}, expected {tuple(blank.shape)}"
             )
-        if found.is_floating_point() != blank.is_floating_point() or found.is_complex():
+        if found.dtype not in DTYPES or found.is_floating_point() != blank.is_floating_point():
             raise WeightsError(f"the tensor {key} holds {found.dtype}, expected {blank.dtype}")
     if unexpected := next((key for key in tensors if key not in expected), None):
         raise WeightsError(f"the tensor {shown(unexpected)} belongs to no layer of the network")
