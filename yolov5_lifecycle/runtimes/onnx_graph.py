@@ -94,7 +94,7 @@ class Graph:
 
     def tensor(self, shape: tuple[int, ...], name: str) -> GraphTensor:
         """A value of the graph, float32, for a network's code to run on."""
-        return GraphTensor(shape, CostCounter(), graph=self, name=name)
+        return GraphTensor(shape, CostCounter(layer="a layer"), graph=self, name=name)
 
     def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add a node; return the name of its output."""
