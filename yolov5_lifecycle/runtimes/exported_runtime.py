@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from functools import partial
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.compiled_runtime import (
     CompiledRuntime,
     Engine,
-    Run,
+    Loaded,
     Threads,
     check_processor,
     processor_threads,
@@ -43,9 +43,9 @@ def load_exported(export: Export, engine: Engine, *, device: str) -> CompiledRun
 
 
 class _Exported:
-    """The graph of `export`, loaded once for all runtimes with the same `Threads`. See `Program`.
+    """The graph of `export`, see `Program`.
 
-    Embeddings are empty. Rows of an export without objectness have 1 there, and those whose best class
+    It is loaded once for all runtimes with the same `Threads`, and freed with the last of them. Embeddings are empty. Rows of an export without objectness have 1 there, and those whose best class
     scores below the least objectness that is asked for are left out.
     """
 
@@ -53,35 +53,42 @@ class _Exported:
         self.engine, self.precision = engine, export.precision
         self._export = export
         self._loading = threading.Lock()
-        self._loaded = {threads: engine.restore(export.graph, threads)}
+        self._first = engine.restore(export.graph, threads)
+        self._loaded = WeakValueDictionary({threads: self._first})
 
-    def network(self, shape: Shape, threads: Threads) -> Callable[..., Predictions]:
-        """See `Program`. An export with a fixed batch runs filled up with black."""
+    def network(self, shape: Shape, threads: Threads) -> _ExportedNetwork:
+        """See `Program`."""
         with self._loading:
-            if threads not in self._loaded:
-                self._loaded[threads] = self.engine.restore(self._export.graph, threads)
-        planes = np.zeros((self._export.batch or 1, self._export.channels, *shape), np.uint8)
-        return partial(_predictions, self._export, self._loaded[threads].new_run(), planes)
+            loaded = self._loaded.get(threads)
+            if loaded is None:
+                loaded = self._loaded[threads] = self.engine.restore(self._export.graph, threads)
+        return _ExportedNetwork(self._export, loaded, shape)
 
 
-def _predictions(
-    export: Export,
-    run: Run,
-    planes: NDArray[np.uint8],
-    frame: NDArray[np.uint8],
-    order: Order,
-    min_objectness: float,
-) -> Predictions:
-    """The predictions of `export` for `frame`, which is written into `planes` first."""
-    write_planes(frame, order, planes[0])
-    pixels = np.multiply(planes, 1 / 255, dtype=np.float32)
-    outputs = run(pixels.astype(np.float16) if export.is_half else pixels)
-    rows = _likely_rows(np.asarray(outputs[export.boxes], np.float32)[0], export, min_objectness)
-    _check_meaning(rows, export)
-    compute_prototypes = None
-    if export.prototypes is not None:  # copied: the next run may overwrite them
-        compute_prototypes = partial(np.asarray, np.array(outputs[export.prototypes][0], np.float32))
-    return Predictions(rows, compute_prototypes, _empty)
+class _ExportedNetwork:
+    """A loaded `export` for one input shape, with its input buffer.
+
+    A fixed batch is filled up with black.
+    """
+
+    def __init__(self, export: Export, loaded: Loaded, shape: Shape) -> None:
+        self._export = export
+        self._loaded = loaded
+        self._run = loaded.new_run()
+        self._planes = np.zeros((export.batch or 1, export.channels, *shape), np.uint8)
+
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
+        """See `Runtime`."""
+        export = self._export
+        write_planes(frame, order, self._planes[0])
+        pixels = np.multiply(self._planes, 1 / 255, dtype=np.float32)
+        outputs = self._run(pixels.astype(np.float16) if export.is_half else pixels)
+        rows = _likely_rows(np.asarray(outputs[export.boxes], np.float32)[0], export, min_objectness)
+        _check_meaning(rows, export)
+        compute_prototypes = None
+        if export.prototypes is not None:  # copied: the next run may overwrite them
+            compute_prototypes = partial(np.asarray, np.array(outputs[export.prototypes][0], np.float32))
+        return Predictions(rows, compute_prototypes, _empty)
 
 
 def _empty() -> NDArray[np.float32]:
