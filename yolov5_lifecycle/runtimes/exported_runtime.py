@@ -45,8 +45,9 @@ def load_exported(export: Export, engine: Engine, *, device: str) -> CompiledRun
 class _Exported:
     """The graph of `export`, see `Program`.
 
-    It is loaded once for all runtimes with the same `Threads`, and freed with the last of them. Embeddings are empty. Rows of an export without objectness have 1 there, and those whose best class
-    scores below the least objectness that is asked for are left out.
+    It is loaded once for all runtimes with the same `Threads`, and freed with the last of them. Embeddings
+    are empty. Rows of an export without objectness have 1 there, and those whose best class scores below the
+    least objectness that is asked for are left out.
     """
 
     def __init__(self, export: Export, engine: Engine, threads: Threads) -> None:
