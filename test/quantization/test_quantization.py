@@ -91,10 +91,12 @@ def test_the_corrected_bias_keeps_the_mean_of_the_result(groups: int) -> None:
     module = nn.Conv2d(4, 6, 1, groups=groups).requires_grad_(False)
     features = torch.rand(1, 4, 50, 50) + torch.arange(4).view(1, 4, 1, 1)
     exact = module(features).mean(dim=(0, 2, 3))
-    integers, steps = quantized_weight(module.weight.numpy(), 4)
+    assert module.bias is not None
+    weight, means = module.weight.numpy(), features.mean(dim=(0, 2, 3)).tolist()
+    integers, steps = quantized_weight(weight, 4)
     rounded = integers * steps.reshape(-1, 1, 1, 1)
-    bias = corrected_bias(module, rounded, features.mean(dim=(0, 2, 3)).tolist())
-    module.weight.data, module.bias.data = torch.from_numpy(rounded), torch.from_numpy(bias)  # type: ignore[union-attr]
+    bias = corrected_bias(weight, module.bias.numpy(), rounded, means)
+    module.weight.data, module.bias.data = torch.from_numpy(rounded), torch.from_numpy(bias)
     assert torch.allclose(module(features).mean(dim=(0, 2, 3)), exact, atol=1e-4)
 
 

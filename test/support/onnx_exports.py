@@ -35,7 +35,7 @@ class _Export(Network):
         for module in self.modules():
             if isinstance(module, Conv):
                 module.fold()
-            if isinstance(module, SPP):
+            if type(module) is SPP:
                 module.forward = functools.partial(_pyramid, module)  # type: ignore[method-assign]
 
     def forward(self, pixels: Tensor) -> Any:

@@ -10,7 +10,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from yolov5_lifecycle.models.convolutions import Block, Conv, DWConv, layer_kind, normalisation, normalised
+from yolov5_lifecycle.models.convolutions import (
+    Block,
+    Conv,
+    DWConv,
+    fold_normalisation,
+    layer_kind,
+    normalisation,
+)
 
 _HEADS = 4
 """Of attention."""
@@ -119,25 +126,6 @@ class GhostBottleneck(Block):
 
 
 @layer_kind
-class SPPF(Block):
-    """Three sequential max-pools cover three window sizes."""
-
-    def __init__(self, channels_in: int, channels_out: int, kernel: int = 5) -> None:
-        super().__init__()
-        hidden = channels_in // 2
-        self.cv1 = Conv(channels_in, hidden)
-        self.cv2 = Conv(4 * hidden, channels_out)
-        self.m = nn.MaxPool2d(kernel, stride=1, padding=kernel // 2)
-
-    def forward(self, features: Tensor) -> Tensor:
-        windows = [self.cv1(features)]
-        for _ in range(3):
-            windows.append(self.m(windows[-1]))
-        merged: Tensor = self.cv2(torch.cat(windows, dim=1))
-        return merged
-
-
-@layer_kind
 class SPP(Block):
     """A max-pool of every window size, which ascend.
 
@@ -149,7 +137,9 @@ class SPP(Block):
         hidden = channels_in // 2
         self.cv1 = Conv(channels_in, hidden)
         self.cv2 = Conv((1 + len(kernels)) * hidden, channels_out)
-        self.m = nn.ModuleList(nn.MaxPool2d(kernel, stride=1, padding=kernel // 2) for kernel in kernels)
+        self.m: nn.Module = nn.ModuleList(
+            nn.MaxPool2d(kernel, stride=1, padding=kernel // 2) for kernel in kernels
+        )
         self.steps = tuple(wide - narrow + 1 for narrow, wide in itertools.pairwise((1, *kernels)))
 
     def forward(self, features: Tensor) -> Tensor:
@@ -160,8 +150,18 @@ class SPP(Block):
         return merged
 
 
-class _TwoWays(Block):
-    """One convolution of the input is refined by `m`; a subclass joins that with another one."""
+@layer_kind
+class SPPF(SPP):
+    """Three max-pools of `kernel` one after the other, which cover three window sizes."""
+
+    def __init__(self, channels_in: int, channels_out: int, kernel: int = 5) -> None:
+        super().__init__(channels_in, channels_out, (kernel, 2 * kernel - 1, 3 * kernel - 2))
+        self.m = nn.MaxPool2d(kernel, stride=1, padding=kernel // 2)
+
+
+@layer_kind
+class C3(Block):
+    """Two convolutions of the input, of which `m` refines one, joined by a third; `m` are bottlenecks."""
 
     has_repeats_inside = True
 
@@ -182,7 +182,8 @@ class _TwoWays(Block):
 
     def _add_junction(self, channels_in: int, hidden: int, channels_out: int) -> None:
         """Add what the other way and the join consist of."""
-        raise NotImplementedError
+        self.cv2: nn.Module = Conv(channels_in, hidden)
+        self.cv3: nn.Module = Conv(2 * hidden, channels_out)
 
     def _refinement(self, hidden: int, repeats: int, shortcut: bool, groups: int) -> nn.Module:
         return nn.Sequential(*(self._part(hidden, shortcut, groups) for _ in range(repeats)))
@@ -190,32 +191,19 @@ class _TwoWays(Block):
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
         return Bottleneck(hidden, hidden, shortcut, groups, 1.0)
 
-
-class Partial(_TwoWays):
-    """A convolution on the other way, one after the join."""
-
-    def _add_junction(self, channels_in: int, hidden: int, channels_out: int) -> None:
-        self.cv2 = Conv(channels_in, hidden)
-        self.cv3 = Conv(2 * hidden, channels_out)
-
     def forward(self, features: Tensor) -> Tensor:
         merged: Tensor = self.cv3(torch.cat((self.m(self.cv1(features)), self.cv2(features)), dim=1))
         return merged
 
 
 @layer_kind
-class C3(Partial):
-    """Its parts are bottlenecks."""
-
-
-@layer_kind
-class C3x(Partial):
+class C3x(C3):
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
         return CrossConv(hidden, hidden, 3, 1, groups, 1.0, shortcut)
 
 
 @layer_kind
-class C3Ghost(Partial):
+class C3Ghost(C3):
     """Its parts always add their input, regardless of the argument `shortcut`."""
 
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
@@ -223,7 +211,7 @@ class C3Ghost(Partial):
 
 
 @layer_kind
-class C3SPP(Partial):
+class C3SPP(C3):
     has_repeats_inside = False
 
     def __init__(self, channels_in: int, channels_out: int, kernels: tuple[int, ...] = (5, 9, 13)) -> None:
@@ -234,7 +222,8 @@ class C3SPP(Partial):
         return SPP(hidden, hidden, self._kernels)
 
 
-class NormalisedPartial(_TwoWays):
+@layer_kind
+class BottleneckCSP(C3):
     """As before v4: plain convolutions on both ways, normalised and activated where they join."""
 
     def _add_junction(self, channels_in: int, hidden: int, channels_out: int) -> None:
@@ -252,18 +241,11 @@ class NormalisedPartial(_TwoWays):
 
     def fold(self) -> None:
         """Move the batch normalisation into the two convolutions."""
-        if isinstance(self.bn, nn.BatchNorm2d):
-            self.cv3, self.cv2 = normalised([self.cv3, self.cv2], self.bn)
-            self.bn = nn.Identity()
+        fold_normalisation(self, self.cv3, self.cv2)
 
 
 @layer_kind
-class BottleneckCSP(NormalisedPartial):
-    """Its parts are bottlenecks."""
-
-
-@layer_kind
-class CrossCSP(NormalisedPartial):
+class CrossCSP(BottleneckCSP):
     """The block named C3 in the experimental module of v3.0 and v3.1."""
 
     def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
@@ -304,7 +286,7 @@ class TransformerBlock(nn.Module):
 
 
 @layer_kind
-class C3TR(Partial):
+class C3TR(C3):
     """Its repeats are those of the transformer's layers; it has neither shortcut nor groups."""
 
     def _refinement(self, hidden: int, repeats: int, shortcut: bool, groups: int) -> nn.Module:

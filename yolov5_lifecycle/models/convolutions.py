@@ -93,9 +93,7 @@ class Conv(Block):
 
     def fold(self) -> None:
         """Move the batch normalisation into the convolution."""
-        if isinstance(self.bn, nn.BatchNorm2d):
-            self.conv = nn.utils.fuse_conv_bn_eval(self.conv, self.bn)
-            self.bn = nn.Identity()
+        fold_normalisation(self, self.conv)
 
     def drop_bn(self) -> None:
         """Replace the normalisation by a bias of the convolution, both without values."""
@@ -187,10 +185,7 @@ class MixConv2d(Block):
 
     def fold(self) -> None:
         """Move the batch normalisation into the convolutions."""
-        if isinstance(self.bn, nn.BatchNorm2d):
-            convolutions = [module for module in self.m if isinstance(module, nn.Conv2d)]
-            self.m = nn.ModuleList(normalised(convolutions, self.bn))
-            self.bn = nn.Identity()
+        fold_normalisation(self, *self.m)
 
 
 @layer_kind
@@ -215,19 +210,23 @@ class ConvTranspose2d(nn.ConvTranspose2d):
     """torch's own, as a layer."""
 
 
-def normalised(convolutions: list[nn.Conv2d], bn: nn.BatchNorm2d) -> list[nn.Conv2d]:
-    """`convolutions` without bias, followed by their part of `bn`, which normalises them side by side."""
-    assert bn.running_var is not None
-    assert bn.running_mean is not None
+def fold_normalisation(block: nn.Module, *convolutions: nn.Module) -> None:
+    """Move the normalisation `block.bn` into `convolutions` without bias, whose outputs it reads in order."""
+    bn = block.bn
+    if not isinstance(bn, nn.BatchNorm2d):
+        return
+    assert isinstance(bn.running_var, Tensor)
+    assert isinstance(bn.running_mean, Tensor)
     scale = bn.weight / (bn.running_var + bn.eps).sqrt()
     shift = bn.bias - bn.running_mean * scale
     first = 0
     for convolution in convolutions:
+        assert isinstance(convolution, nn.Conv2d)
         part = slice(first, first + convolution.out_channels)
         convolution.weight = nn.Parameter(convolution.weight * scale[part].view(-1, 1, 1, 1))
         convolution.bias = nn.Parameter(shift[part].clone())
         first = part.stop
-    return convolutions
+    block.bn = nn.Identity()
 
 
 def normalisation(channels: int) -> nn.BatchNorm2d:

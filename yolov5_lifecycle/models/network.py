@@ -127,7 +127,7 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
     channels_out = architecture.scaled_channels(unscaled)
     block = LAYER_KINDS[layer.kind]
     repeats = layer.scaled_repeats(architecture.depth_multiple)
-    if has_repeats_inside(layer.kind):
+    if getattr(block, "has_repeats_inside", False):  # torch's own have no such attribute
         return block(channels_in[0], channels_out, repeats, *arguments), channels_out
     if repeats == 1:
         return block(channels_in[0], channels_out, *arguments), channels_out
@@ -136,12 +136,6 @@ def _module(layer: Layer, channels_in: list[int], architecture: Architecture) ->
     return nn.Sequential(
         *(block(channels_out, channels_out, *arguments) for _ in range(repeats))
     ), channels_out
-
-
-def has_repeats_inside(kind: str) -> bool:
-    """Whether the repeats of a layer of this kind are an argument of its block."""
-    block = LAYER_KINDS.get(kind, nn.Module)
-    return issubclass(block, Block) and block.has_repeats_inside
 
 
 def _set_activations(network: nn.Module, architecture: Architecture) -> None:

@@ -70,9 +70,9 @@ class ShapeTensor:
     def dim(self) -> int:
         return len(self.shape)
 
-    def made(self, *shape: int) -> ShapeTensor:
-        """Another tensor, with elements of its own."""
-        return ShapeTensor(shape, self.counter)
+    def made(self, *shape: int, of: ShapeTensor | None = None) -> ShapeTensor:
+        """Another tensor, with elements of its own unless it is a view `of` another."""
+        return ShapeTensor(shape, self.counter, of)
 
     def __add__(self, other: ShapeTensor) -> ShapeTensor:
         if self.shape != other.shape:
@@ -84,7 +84,7 @@ class ShapeTensor:
         first = len(self.shape) - len(place) + 1
         cuts = (part.indices(side) for part, side in zip(place[1:], self.shape[first:], strict=True))
         kept = (-((start - stop) // step) for start, stop, step in cuts)  # range has no length of such sizes
-        return ShapeTensor((*self.shape[:first], *kept), self.counter, self)
+        return self.made(*self.shape[:first], *kept, of=self)
 
     def permute(self, *order: int) -> ShapeTensor:
         """A copy: torch makes one when what is permuted is reshaped, as it always is."""
@@ -93,10 +93,11 @@ class ShapeTensor:
     def reshape(self, *sizes: Any) -> ShapeTensor:
         shape = sizes[0] if isinstance(sizes[0], tuple) else sizes
         known = math.prod(size for size in shape if size != -1)
-        shape = tuple(math.prod(self.shape) // known if size == -1 else size for size in shape)
-        return ShapeTensor(shape, self.counter, self)
+        inferred = math.prod(self.shape) // known
+        return self.made(*(inferred if size == -1 else size for size in shape), of=self)
 
-    view = reshape
+    def view(self, *sizes: int) -> ShapeTensor:
+        return self.reshape(*sizes)
 
     def flatten(self, start: int, end: int = -1) -> ShapeTensor:
         last = end % len(self.shape) + 1

@@ -175,7 +175,7 @@ def _rounded(module: nn.Conv2d, read: Activation, weight_bits: int) -> Iterator[
     weight, bias = module.weight.data, module.bias.data
     integers, steps = quantized_weight(weight.numpy(), weight_bits)
     rounded = integers * steps.reshape(-1, 1, 1, 1)
-    module.bias.data = torch.from_numpy(corrected_bias(module, rounded, read.means))
+    module.bias.data = torch.from_numpy(corrected_bias(weight.numpy(), bias.numpy(), rounded, read.means))
     module.weight.data = torch.from_numpy(rounded)
     step, zero = activation_step(read.range)
     hook = module.register_forward_pre_hook(

@@ -48,7 +48,7 @@ def write_cache(path: Path, *parts: bytes) -> None:
 class CompiledStore:
     """Bytes by a key of 64 hexadecimal digits, one file each, in a `folder` that may begin with ~.
 
-    Beyond `max_bytes` in total, the least recently used files are evicted.
+    Beyond `max_bytes` in total, the least recently used files are evicted, but for the newest.
     """
 
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
@@ -69,9 +69,6 @@ class CompiledStore:
 
     def keep(self, key: str, content: bytes) -> None:
         """Cache `content` under `key`; a failure is only logged."""
-        if _DIGEST_BYTES + len(content) > self._max_bytes:
-            _log.warning("The compiled model is not cached: its %d bytes exceed the limit", len(content))
-            return
         try:
             write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
@@ -82,18 +79,12 @@ class CompiledStore:
 
     def _evict(self, newest: Path) -> None:
         """Remove the other files used longest ago, until all take up at most `max_bytes`."""
-        found = []
-        for path in newest.parent.iterdir():
-            with suppress(OSError):  # another process may evict at the same time
-                status = path.lstat()
-                if _KEY.fullmatch(path.name) and path != newest:
-                    found.append((status.st_mtime, status.st_size, path))
+        others = [path for path in newest.parent.iterdir() if _KEY.fullmatch(path.name) and path != newest]
         used_bytes = newest.stat().st_size
-        for _, size_bytes, path in sorted(found, reverse=True):
-            used_bytes += size_bytes
+        for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True):
+            used_bytes += path.stat().st_size
             if used_bytes > self._max_bytes:
-                with suppress(OSError):
-                    path.unlink()
+                path.unlink()
 
 
 def installed_build(package: str) -> str | None:

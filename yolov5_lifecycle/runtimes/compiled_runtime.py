@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import pkgutil
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from pathlib import Path
+from typing import Protocol, TypeVar
 from weakref import WeakValueDictionary
 
 import cv2
@@ -23,6 +23,7 @@ from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, closed
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
@@ -30,13 +31,8 @@ from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
-_GRAPH_MAKERS = tuple(
-    f"{package.__name__}.{module.name}"
-    for package in (models, runtimes)
-    for module in pkgutil.iter_modules(package.__path__)
-    if package is models or module.name in ("onnx_graph", "quantization")
-)
-"""Modules on which the ONNX graph of a model depends."""
+_CODE = [Path(package.__path__[0]) for package in (models, runtimes)]
+"""Folders of the modules on which the ONNX graph of a model depends."""
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 _TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
 
@@ -86,19 +82,31 @@ class Engine:
     precision: str = "fp32"
 
 
+class Program(Protocol):
+    """What an engine can run for frames of any shape: a model's network, or an export."""
+
+    engine: Engine
+    precision: str
+
+    def network(self, shape: Shape, threads: Threads) -> Callable[..., Predictions]:
+        """The network for frames of `shape`, called as `Runtime` is; raises the engine's errors.
+
+        It may only be used while denormal floats are zero.
+        """
+
+
 class CompiledRuntime:
-    """A network on the CPU, in fp32 or another precision of `engine`. See `Runtime`."""
+    """A `program` on the CPU. See `Runtime`; `kept`: see `NetworksByShape`."""
 
     device = "cpu"
 
-    def __init__(self, compiler: Compiler, threads: Threads, *, kept: int) -> None:
-        self.name, self.precision = compiler.engine.name, compiler.engine.precision
-        self._segments = compiler.proto is not None
-        self._errors = compiler.engine.errors
+    def __init__(self, program: Program, threads: Threads, *, kept: int = MIN_KEPT) -> None:
+        self.name, self.precision = program.engine.name, program.precision
+        self._errors = program.engine.errors
         self._kept = kept
-        self._compiler: Compiler | None = compiler
+        self._program: Program | None = program
         """None once closed."""
-        self._compiled = NetworksByShape(lambda shape: _Compiled(compiler, shape, threads), kept=kept)
+        self._networks = NetworksByShape(lambda shape: program.network(shape, threads), kept=kept)
 
     @classmethod
     def load(
@@ -120,46 +128,35 @@ class CompiledRuntime:
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; the first frame of each size waits for the compiler."""
         shape = frame.shape[0], frame.shape[1]
+        predictions = self._using(shape, lambda network: network(frame, order, min_objectness))
+        compute = predictions.compute_prototypes
+        if compute is None:
+            return predictions
+        return replace(predictions, compute_prototypes=lambda: self._using(shape, lambda _: compute()))
 
-        def predict(compiled: _Compiled) -> Predictions:
-            features = compiled.features(frame, order)
-            return Predictions(
-                compiled.rows(features, min_objectness),
-                self._prototypes(shape, features[0]),
-                partial(_mean, features[-1]),
-            )
-
-        return self._using(shape, predict)
-
-    def _prototypes(self, shape: Shape, finest: Features) -> Callable[[], NDArray[np.float32]] | None:
-        """Computes prototypes from the features of the finest level, (1, channels, ny, nx)."""
-        if not self._segments:
-            return None
-        return lambda: self._using(shape, lambda compiled: compiled.prototypes(finest))
-
-    def _using(self, shape: Shape, use: Callable[[_Compiled], Result]) -> Result:
+    def _using(self, shape: Shape, use: Callable[[Callable[..., Predictions]], Result]) -> Result:
         """The result of `use` on the network for frames of `shape`; engine errors become InferenceError."""
         try:
             # Denormal floats are zero in this thread; the engine sees to its own threads.
-            with self._compiled.running(shape) as compiled:
-                return use(compiled)
-        except InferenceError:  # it was closed
+            with self._networks.running(shape) as network:
+                return use(network)
+        except InferenceError:  # it was closed, or an export does not mean what it says
             raise
         except self._errors as error:
-            problem = str(error).partition("\n")[0]
+            problem = in_one_line(str(error).partition("\n")[0])
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
 
     def lanes(self, count: int, threads: int) -> list[CompiledRuntime]:
         """See `Runtime`."""
-        if (compiler := self._compiler) is None:
+        if (program := self._program) is None:
             raise closed()
         shared = Threads(threads, at_once=count)
-        return [CompiledRuntime(compiler, shared, kept=self._kept) for _ in range(count)]
+        return [CompiledRuntime(program, shared, kept=self._kept) for _ in range(count)]
 
     def close(self) -> None:
         """See `Runtime`."""
-        self._compiler = None
-        self._compiled.close()
+        self._program = None
+        self._networks.close()
 
 
 def check_processor(device: str, engine: Engine, *, otherwise: str = "runtime 'torch'") -> None:
@@ -192,7 +189,7 @@ class Compiler:
         if quantization is not None:
             quantization.check(convolutions(self._network))
         self.channels = model.architecture.image_channels
-        self.engine = engine
+        self.engine, self.precision = engine, engine.precision
         self._store = CompiledStore(cache_folder("compiled"))
         self._identity = _identity(model, engine, quantization)
         detect = self._network.head
@@ -201,7 +198,11 @@ class Compiler:
         self._loading = threading.Lock()
         self._loaded: WeakValueDictionary[tuple[str, Threads], Loaded] = WeakValueDictionary()
 
-    def network(self, shape: Shape, threads: Threads) -> Loaded:
+    def network(self, shape: Shape, threads: Threads) -> _Compiled:
+        """See `Program`."""
+        return _Compiled(self, shape, threads)
+
+    def compiled(self, shape: Shape, threads: Threads) -> Loaded:
         """The compiled network for frames of `shape`; raises the engine's errors."""
         return self._one(str(shape), lambda: onnx_graph(self._network, shape, self._quantization), threads)
 
@@ -229,7 +230,11 @@ class Compiler:
             except self.engine.errors as error:
                 _log.warning("Compiling the model again, because the cached one cannot be loaded: %s", error)
         fuse(self._network)
-        loaded, content = self.engine.build(graph(), threads)
+        try:
+            serialized = graph()
+        except ValueError as error:  # the layers do not fit each other for this size
+            raise InferenceError(f"{self.engine.name} failed on cpu: {error}") from None
+        loaded, content = self.engine.build(serialized, threads)
         if content:
             self._store.keep(key, content)
         return loaded
@@ -240,10 +245,10 @@ def _identity(model: Model, engine: Engine, quantization: Quantization | None) -
     weights = hashlib.sha256()
     for name, tensor in sorted(model.state_dict.items()):
         weights.update(name.encode() + tensor.numpy().tobytes())
-    makers = (engine.name, engine.build.__module__, *_GRAPH_MAKERS)
-    builds = [installed_build(maker) for maker in makers]
+    code = [path.stat().st_mtime_ns for folder in _CODE for path in sorted(folder.glob("*.py"))]
     precision = (engine.precision, quantization.digest if quantization else "")
-    return repr([builds, processor(), model.architecture, weights.hexdigest(), precision])
+    build = installed_build(engine.name)
+    return repr([code, build, processor(), model.architecture, weights.hexdigest(), engine.name, precision])
 
 
 class _Compiled:
@@ -252,22 +257,23 @@ class _Compiled:
     def __init__(self, compiler: Compiler, shape: Shape, threads: Threads) -> None:
         self._compiler = compiler
         self._threads = threads
-        self._loaded = compiler.network(shape, threads)
+        self._loaded = compiler.compiled(shape, threads)
         self._run = self._loaded.new_run()
         self._loaded_proto: Loaded | None = None
         self._run_proto: Run | None = None
         self._planes = np.empty((1, compiler.channels, *shape), np.uint8)
 
-    def features(self, frame: NDArray[np.uint8], order: Order) -> Sequence[Features]:
-        """Features of all levels; the next run may overwrite them."""
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
+        """See `Runtime`; the next run may overwrite the features from which prototypes are computed."""
         write_planes(frame, order, self._planes[0])
-        return self._run(self._planes)
+        features = self._run(self._planes)
+        return Predictions(
+            self._compiler.head(features, min_objectness),
+            partial(self._prototypes, features[0]) if self._compiler.proto is not None else None,
+            partial(_mean, features[-1]),
+        )
 
-    def rows(self, features: Sequence[Features], min_objectness: float) -> NDArray[np.float32]:
-        """The predictions for the frame of `features`."""
-        return self._compiler.head(features, min_objectness)
-
-    def prototypes(self, finest: Features) -> NDArray[np.float32]:
+    def _prototypes(self, finest: Features) -> NDArray[np.float32]:
         """Prototypes (M, h, w) from the features of the finest level."""
         if self._run_proto is None:
             self._loaded_proto = self._compiler.prototypes(finest, self._threads)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
 from functools import partial
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,92 +13,83 @@ from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.compiled_runtime import (
+    CompiledRuntime,
     Engine,
     Loaded,
-    Run,
     Threads,
     check_processor,
     processor_threads,
     write_planes,
 )
-from yolov5_lifecycle.runtimes.networks_by_shape import closed, denormals_as_zero
+from yolov5_lifecycle.runtimes.networks_by_shape import Shape, denormals_as_zero
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 
 
-class ExportedRuntime:
-    """`export` on the CPU. See `Runtime`.
+def load_exported(export: Export, engine: Engine, *, device: str) -> CompiledRuntime:
+    """Load `export` as it is; raises DeviceError for a device that the engine does not support.
 
-    Its embeddings are empty. Rows of an export without objectness have 1 there, and those whose best class
-    scores below the least objectness that is asked for are left out.
+    Raises InferenceError if the engine cannot load it.
     """
-
-    device = "cpu"
-
-    def __init__(self, export: Export, engine: Engine, threads: Threads, loaded: Loaded) -> None:
-        self.name = engine.name
-        self.precision = export.precision
-        self._export, self._engine, self._threads = export, engine, threads
-        self._run: Run | None = loaded.new_run()
-        """None once closed."""
-
-    @classmethod
-    def load(cls, export: Export, engine: Engine, *, device: str) -> ExportedRuntime:
-        """Raises DeviceError for a device that the engine does not support; InferenceError."""
-        check_processor(device, engine, otherwise="the .pt and runtime 'torch'")
-        return cls._with_threads(export, engine, processor_threads())
-
-    @classmethod
-    def _with_threads(cls, export: Export, engine: Engine, threads: Threads) -> ExportedRuntime:
-        return cls(export, engine, threads, _restored(export, engine, threads))
-
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
-        """See `Runtime`. An export with a fixed batch runs filled up with black."""
-        planes = np.zeros((self._export.batch or 1, self._export.channels, *frame.shape[:2]), np.uint8)
-        write_planes(frame, order, planes[0])
-        outputs = self._outputs(planes)
-        rows = _likely_rows(
-            np.asarray(outputs[self._export.boxes], np.float32)[0], self._export, min_objectness
-        )
-        _check_meaning(rows, self._export)
-        compute_prototypes = None
-        if (prototypes := self._export.prototypes) is not None:  # copied: the next run may overwrite them
-            compute_prototypes = partial(np.asarray, np.array(outputs[prototypes][0], np.float32))
-        return Predictions(rows, compute_prototypes, _empty)
-
-    def _outputs(self, planes: NDArray[np.uint8]) -> Sequence[NDArray[np.generic]]:
-        if (run := self._run) is None:
-            raise closed()
-        pixels = np.multiply(planes, 1 / 255, dtype=np.float32)
-        try:
-            with denormals_as_zero():
-                return run(pixels.astype(np.float16) if self._export.is_half else pixels)
-        except self._engine.errors as error:
-            problem = in_one_line(str(error))
-        raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
-
-    def lanes(self, count: int, threads: int) -> list[ExportedRuntime]:
-        """See `Runtime`."""
-        self._open()
-        shared = Threads(threads, at_once=count)
-        loaded = _restored(self._export, self._engine, shared)
-        return [ExportedRuntime(self._export, self._engine, shared, loaded) for _ in range(count)]
-
-    def close(self) -> None:
-        """See `Runtime`."""
-        self._run = None
-
-    def _open(self) -> None:
-        if self._run is None:
-            raise closed()
-
-
-def _restored(export: Export, engine: Engine, threads: Threads) -> Loaded:
+    check_processor(device, engine, otherwise="the .pt and runtime 'torch'")
+    threads = processor_threads()
     try:
         with denormals_as_zero():  # the engine leaves this thread in that mode
-            return engine.restore(export.graph, threads)
+            program = _Exported(export, engine, threads)
     except engine.errors as error:
         problem = in_one_line(str(error))
+    else:
+        return CompiledRuntime(program, threads)
     raise InferenceError(f"{engine.name} cannot load this export: {problem}")
+
+
+class _Exported:
+    """The graph of `export`, see `Program`.
+
+    It is loaded once for all runtimes with the same `Threads`, and freed with the last of them. Embeddings
+    are empty. Rows of an export without objectness have 1 there, and those whose best class scores below the
+    least objectness that is asked for are left out.
+    """
+
+    def __init__(self, export: Export, engine: Engine, threads: Threads) -> None:
+        self.engine, self.precision = engine, export.precision
+        self._export = export
+        self._loading = threading.Lock()
+        self._first = engine.restore(export.graph, threads)
+        self._loaded = WeakValueDictionary({threads: self._first})
+
+    def network(self, shape: Shape, threads: Threads) -> _ExportedNetwork:
+        """See `Program`."""
+        with self._loading:
+            loaded = self._loaded.get(threads)
+            if loaded is None:
+                loaded = self._loaded[threads] = self.engine.restore(self._export.graph, threads)
+        return _ExportedNetwork(self._export, loaded, shape)
+
+
+class _ExportedNetwork:
+    """A loaded `export` for one input shape, with its input buffer.
+
+    A fixed batch is filled up with black.
+    """
+
+    def __init__(self, export: Export, loaded: Loaded, shape: Shape) -> None:
+        self._export = export
+        self._loaded = loaded
+        self._run = loaded.new_run()
+        self._planes = np.zeros((export.batch or 1, export.channels, *shape), np.uint8)
+
+    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
+        """See `Runtime`."""
+        export = self._export
+        write_planes(frame, order, self._planes[0])
+        pixels = np.multiply(self._planes, 1 / 255, dtype=np.float32)
+        outputs = self._run(pixels.astype(np.float16) if export.is_half else pixels)
+        rows = _likely_rows(np.asarray(outputs[export.boxes], np.float32)[0], export, min_objectness)
+        _check_meaning(rows, export)
+        compute_prototypes = None
+        if export.prototypes is not None:  # copied: the next run may overwrite them
+            compute_prototypes = partial(np.asarray, np.array(outputs[export.prototypes][0], np.float32))
+        return Predictions(rows, compute_prototypes, _empty)
 
 
 def _empty() -> NDArray[np.float32]:

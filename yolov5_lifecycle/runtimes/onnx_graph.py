@@ -1,36 +1,27 @@
-"""ONNX graphs, at a fixed input shape, of the parts of a network that engines run."""
+"""ONNX graphs, at a fixed input shape, of the parts of a network that engines run.
+
+They are recorded: a fused network's own code runs on tensors that have a shape and a name in the graph.
+"""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 import onnx
+import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
+from torch.nn import functional
 
-from yolov5_lifecycle.models.blocks import (
-    SPP,
-    SPPF,
-    Contract,
-    Expand,
-    GhostBottleneck,
-    GhostConv,
-    NormalisedPartial,
-    Partial,
-    Shortcut,
-    TransformerBlock,
-    TransformerLayer,
-)
-from yolov5_lifecycle.models.convolutions import Conv, Focus, MixConv2d
 from yolov5_lifecycle.models.head import PARITIES, Proto
-from yolov5_lifecycle.models.network import Concat, Network
+from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.models.shape_tensor import CostCounter, ShapeTensor
 from yolov5_lifecycle.runtimes.quantization import (
+    Activation,
     Quantization,
     Range,
     activation_step,
@@ -44,11 +35,6 @@ _IR_VERSION = 8
 INPUT = "input"
 """The name of the array that a graph reads."""
 
-Writer = Callable[..., str]
-"""Adds the nodes of a module for its named inputs; returns the name of its output."""
-_WRITERS: dict[type[nn.Module], Writer] = {}
-_Written = TypeVar("_Written", bound=Writer)
-
 
 def onnx_graph(network: Network, shape: tuple[int, int], quantization: Quantization | None = None) -> bytes:
     """A serialized ONNX model of a fused `network` for frames of `shape`, their height and width.
@@ -59,19 +45,13 @@ def onnx_graph(network: Network, shape: tuple[int, int], quantization: Quantizat
     integers; it must fit the network, see `Quantization.check`.
     """
     planes = (1, network.architecture.image_channels, *shape)
-    graph = (
-        Graph(planes, TensorProto.UINT8)
-        if quantization is None
-        else _QuantizedGraph(planes, network, quantization)
-    )
-    pixels = graph.add("Cast", INPUT, to=TensorProto.FLOAT)
-    pixels = graph.add("Mul", pixels, graph.constant(np.float32(1 / 255)))
-    *layers, head = network.architecture.layers
-    outputs: list[str] = []
-    for layer, module in zip(layers, network.model[:-1], strict=True):
-        inputs = [(outputs or [pixels])[source] for source in layer.sources]
-        outputs.append(written(graph, module, *inputs))
-    return graph.serialized([(outputs or [pixels])[source] for source in head.sources])
+    graph = Graph(planes, TensorProto.UINT8)
+    if quantization is not None:
+        graph.activations, graph.weight_bits = quantization.of_weights(network), quantization.weight_bits
+    as_float = graph.add("Cast", INPUT, to=TensorProto.FLOAT)
+    pixels = graph.tensor(planes, graph.add("Mul", as_float, graph.constant(np.float32(1 / 255))))
+    features = network.features(cast(Tensor, pixels))
+    return graph.serialized(cast(list[GraphTensor], features))
 
 
 def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:
@@ -79,23 +59,42 @@ def prototype_graph(proto: Proto, shape: tuple[int, int, int, int]) -> bytes:
 
     The output is the prototypes, float32 (1, M, 2 ny, 2 nx).
     """
+    assert proto.quarters is not None, "expected a fused network"
     graph = Graph(shape, TensorProto.FLOAT)
-    return graph.serialized([written(graph, proto, INPUT)])
+    widened = proto.cv1(graph.tensor(shape, INPUT))
+    quarters = []
+    for convolution, (row, column) in zip(proto.quarters, PARITIES, strict=True):
+        assert isinstance(convolution, nn.Conv2d)
+        pads = [1 - row, 1 - column, row, column]
+        factors = graph.factors(widened, convolution.weight, convolution.bias)
+        name = graph.add("Conv", *factors, kernel_shape=[2, 2], pads=pads)
+        quarters.append(proto.cv3(proto.cv2.act(graph.tensor(widened.shape, name))))
+    joined = cast(GraphTensor, torch.cat(quarters, dim=1))
+    shuffled = graph.add("DepthToSpace", joined.name, blocksize=2, mode="DCR")
+    return graph.serialized([graph.tensor(joined.shape, shuffled)])
 
 
 class Graph:
     """Builder of an ONNX graph that reads one array of `shape` and of an ONNX `dtype`, named INPUT.
 
-    Values are referenced by name.
+    Values are referenced by name. Convolutions with weights that have `activations` are quantized, their
+    inputs and their weights. Only these are: OpenVINO moves the rounding of an input to where it is computed,
+    and computes activations and concatenations between two convolutions in the registers of the first.
     """
 
-    def __init__(self, shape: tuple[int, int, int, int], dtype: int) -> None:
+    def __init__(self, shape: tuple[int, ...], dtype: int) -> None:
         opset = helper.make_opsetid("", _OPSET)
         self._model = onnx.ModelProto(ir_version=_IR_VERSION, opset_import=[opset])
         self._graph = self._model.graph  # built in place, as copying large weights is slow
         self._graph.name = "yolov5"
         self._graph.input.append(helper.make_tensor_value_info(INPUT, dtype, shape))
-        self._batch = shape[0]
+        self.activations: Mapping[Tensor, Activation] = {}
+        self.weight_bits = 8
+        self._rounded: dict[tuple[str, Range], str] = {}
+
+    def tensor(self, shape: tuple[int, ...], name: str) -> GraphTensor:
+        """A value of the graph, float32, for a network's code to run on."""
+        return GraphTensor(shape, CostCounter(layer="a layer"), graph=self, name=name)
 
     def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
         """Add a node; return the name of its output."""
@@ -111,46 +110,21 @@ class Graph:
         self._graph.initializer.append(tensor)
         return name
 
-    def factors(self, module: nn.Conv2d | nn.ConvTranspose2d, features: str) -> tuple[str, str, str]:
-        """Names of the inputs of the convolution `module`: `features`, weights and bias."""
-        assert module.bias is not None, "expected a fused network"
-        return features, self.constant(module.weight), self.constant(module.bias)
-
-    def serialized(self, outputs: Sequence[str]) -> bytes:
-        self._graph.output.extend(
-            helper.make_tensor_value_info(name, TensorProto.FLOAT, [self._batch, None, None, None])
-            for name in outputs
-        )
-        serialized: bytes = self._model.SerializeToString()
-        return serialized
-
-
-class _QuantizedGraph(Graph):
-    """Quantizes weights and inputs of convolutions, for frames in uint8, as `quantization` says.
-
-    Only these are quantized: OpenVINO moves the rounding of an input to where it is computed, and
-    computes activations and concatenations between two convolutions in the registers of the first.
-    """
-
-    def __init__(
-        self, shape: tuple[int, int, int, int], network: Network, quantization: Quantization
-    ) -> None:
-        super().__init__(shape, TensorProto.UINT8)
-        self._activations = quantization.of_modules(network)
-        self._weight_bits = quantization.weight_bits
-        self._rounded: dict[tuple[str, Range], str] = {}
-
-    def factors(self, module: nn.Conv2d | nn.ConvTranspose2d, features: str) -> tuple[str, str, str]:
-        """See `Graph`."""
-        read = self._activations.get(module)
+    def factors(self, features: GraphTensor, weight: Tensor, bias: Tensor | None) -> tuple[str, str, str]:
+        """Names of the inputs of a convolution: `features`, `weight` and `bias`."""
+        assert bias is not None, "expected a fused network"
+        read = self.activations.get(weight)
         if read is None:
-            return super().factors(module, features)
-        assert isinstance(module, nn.Conv2d)
-        integers, steps = quantized_weight(module.weight.detach().numpy(), self._weight_bits)
-        bias = corrected_bias(module, integers * steps.reshape(-1, 1, 1, 1), read.means)
+            return features.name, self.constant(weight), self.constant(bias)
+        exact = weight.detach().numpy()
+        integers, steps = quantized_weight(exact, self.weight_bits)
+        rounded = integers * steps.reshape(-1, 1, 1, 1)
         parts = [self.constant(part) for part in (integers, steps, np.zeros(len(steps), np.int8))]
-        weight = self.add("DequantizeLinear", *parts, axis=0)
-        return self._activation(features, read.range), weight, self.constant(bias)
+        return (
+            self._activation(features.name, read.range),
+            self.add("DequantizeLinear", *parts, axis=0),
+            self.constant(corrected_bias(exact, bias.detach().numpy(), rounded, read.means)),
+        )
 
     def _activation(self, features: str, range_: Range) -> str:
         if (features, range_) not in self._rounded:
@@ -159,234 +133,173 @@ class _QuantizedGraph(Graph):
             self._rounded[features, range_] = self.add("DequantizeLinear", integers, step, zero)
         return self._rounded[features, range_]
 
-
-def written(graph: Graph, module: nn.Module, *inputs: str) -> str:
-    """Add `module` to `graph`; return the name of its output. Raises TypeError for an unknown class."""
-    for kind in type(module).__mro__:
-        if kind in _WRITERS:
-            return _WRITERS[kind](graph, module, *inputs)
-    raise TypeError(f"Expected a block of a network, found {type(module).__name__}.")
-
-
-def _writes(*kinds: type[nn.Module]) -> Callable[[_Written], _Written]:
-    """Register a function as the writer of modules of `kinds` and of classes derived from them."""
-
-    def register(writer: _Written) -> _Written:
-        _WRITERS.update(dict.fromkeys(kinds, writer))
-        return writer
-
-    return register
+    def serialized(self, outputs: Sequence[GraphTensor]) -> bytes:
+        self._graph.output.extend(
+            helper.make_tensor_value_info(output.name, TensorProto.FLOAT, output.shape) for output in outputs
+        )
+        serialized: bytes = self._model.SerializeToString()
+        return serialized
 
 
-@_writes(Conv)
-def _conv(graph: Graph, module: Conv, features: str) -> str:
-    return written(graph, module.act, written(graph, module.conv, features))
+class GraphTensor(ShapeTensor):
+    """A value of `graph`: an operation on it adds the nodes that compute the result.
+
+    Those without an entry in `_WRITERS`, which no fused network uses, raise NotImplementedError.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        counter: CostCounter,
+        of: ShapeTensor | None = None,
+        *,
+        graph: Graph,
+        name: str = "",
+    ) -> None:
+        super().__init__(shape, counter, of)
+        self.graph = graph
+        self.name = name
+
+    @classmethod
+    def __torch_function__(
+        cls,
+        function: Callable[..., object],
+        types: Sequence[type],
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> object:
+        if function not in _WRITERS:
+            raise NotImplementedError(f"{function} of {cls.__name__}")
+        graph = (args[0] if isinstance(args[0], GraphTensor) else args[0][0]).graph
+        name = _WRITERS[function](graph, *args, **(kwargs or {}))
+        result = super().__torch_function__(function, types, args, kwargs)
+        made = result[0] if isinstance(result, tuple) else result
+        cast(GraphTensor, made).name = name
+        return result
+
+    def made(self, *shape: int, of: ShapeTensor | None = None) -> GraphTensor:
+        return GraphTensor(shape, self.counter, of, graph=self.graph)
+
+    def __add__(self, other: ShapeTensor) -> GraphTensor:
+        assert isinstance(other, GraphTensor)
+        name = self.graph.add("Add", self.name, other.name)
+        return self.graph.tensor(super().__add__(other).shape, name)
+
+    def permute(self, *order: int) -> GraphTensor:
+        name = self.graph.add("Transpose", self.name, perm=order)
+        return self.graph.tensor(super().permute(*order).shape, name)
+
+    def reshape(self, *sizes: Any) -> GraphTensor:
+        shape = super().reshape(*sizes).shape
+        return self.graph.tensor(shape, self.graph.add("Reshape", self.name, self.graph.constant(shape)))
 
 
-@_writes(nn.Conv2d)
-def _convolution(graph: Graph, module: nn.Conv2d, features: str) -> str:
-    return _weighted(graph, "Conv", module, features, dilations=list(module.dilation))
-
-
-@_writes(nn.ConvTranspose2d)
-def _transposed(graph: Graph, module: nn.ConvTranspose2d, features: str) -> str:
-    return _weighted(graph, "ConvTranspose", module, features, output_padding=list(module.output_padding))
-
-
-def _weighted(
-    graph: Graph,
-    operator: str,
-    module: nn.Conv2d | nn.ConvTranspose2d,
-    features: str,
-    **attributes: list[int],
+def _convolved(
+    graph: Graph, features: GraphTensor, weight: Tensor, bias: Tensor | None, *window: Any, **attributes: Any
 ) -> str:
-    usual = {"pads": [int(pad) for pad in module.padding] * 2}
+    """`window`: stride, padding, dilation and groups."""
+    stride, padding, dilation, groups = window
     return graph.add(
-        operator,
-        *graph.factors(module, features),
-        kernel_shape=list(module.kernel_size),
-        strides=list(module.stride),
-        group=module.groups,
-        **(usual | attributes),
+        "ConvTranspose" if attributes else "Conv",
+        *graph.factors(features, weight, bias),
+        kernel_shape=weight.shape[2:],
+        strides=stride,
+        pads=[*padding, *padding],
+        dilations=dilation,
+        group=groups,
+        **attributes,
     )
 
 
-@_writes(nn.Sequential)
-def _sequential(graph: Graph, module: nn.Sequential, features: str) -> str:
-    for part in module:
-        features = written(graph, part, features)
-    return features
+def _transposed(
+    graph: Graph, features: GraphTensor, weight: Tensor, bias: Tensor | None, *window: Any
+) -> str:
+    """`window`: stride, padding, output padding, groups and dilation."""
+    stride, padding, more, groups, dilation = window
+    return _convolved(graph, features, weight, bias, stride, padding, dilation, groups, output_padding=more)
 
 
-@_writes(Shortcut)
-def _shortcut(graph: Graph, module: Shortcut, features: str) -> str:
-    refined = written(graph, module.cv2, written(graph, module.cv1, features))
-    return graph.add("Add", features, refined) if module.add else refined
-
-
-@_writes(GhostConv)
-def _ghost(graph: Graph, module: GhostConv, features: str) -> str:
-    primary = written(graph, module.cv1, features)
-    return graph.add("Concat", primary, written(graph, module.cv2, primary), axis=1)
-
-
-@_writes(GhostBottleneck)
-def _ghost_bottleneck(graph: Graph, module: GhostBottleneck, features: str) -> str:
-    refined = written(graph, module.conv, features)
-    return graph.add("Add", refined, written(graph, module.shortcut, features))
-
-
-@_writes(MixConv2d)
-def _mixed(graph: Graph, module: MixConv2d, features: str) -> str:
-    parts = [written(graph, convolution, features) for convolution in module.m]
-    return written(graph, module.act, graph.add("Concat", *parts, axis=1))
-
-
-@_writes(Partial)
-def _partial(graph: Graph, module: Partial, features: str) -> str:
-    refined = written(graph, module.m, written(graph, module.cv1, features))
-    bypass = written(graph, module.cv2, features)
-    return written(graph, module.cv3, graph.add("Concat", refined, bypass, axis=1))
-
-
-@_writes(NormalisedPartial)
-def _normalised_partial(graph: Graph, module: NormalisedPartial, features: str) -> str:
-    refined = written(graph, module.cv3, written(graph, module.m, written(graph, module.cv1, features)))
-    joined = graph.add("Concat", refined, written(graph, module.cv2, features), axis=1)
-    return written(graph, module.cv4, written(graph, module.act, joined))
-
-
-@_writes(SPPF)
-def _sppf(graph: Graph, module: SPPF, features: str) -> str:
-    kernel = module.m.kernel_size
-    assert isinstance(kernel, int)
-    return _pyramid(graph, module, (kernel,) * 3, features)
-
-
-@_writes(SPP)
-def _spp(graph: Graph, module: SPP, features: str) -> str:
-    return _pyramid(graph, module, module.steps, features)
-
-
-def _pyramid(graph: Graph, module: SPP | SPPF, steps: tuple[int, ...], features: str) -> str:
-    pool = partial(_pooled, graph, stride=1)
-    windows = itertools.accumulate(
-        steps,
-        lambda window, step: pool(window, kernel=step, padding=step // 2),
-        initial=written(graph, module.cv1, features),
+def _pooled(
+    graph: Graph, features: GraphTensor, kernel: int, stride: int, padding: int = 0, *_: object, **__: object
+) -> str:
+    return graph.add(
+        "MaxPool", features.name, kernel_shape=[kernel] * 2, strides=[stride] * 2, pads=[padding] * 4
     )
-    return written(graph, module.cv2, graph.add("Concat", *windows, axis=1))
 
 
-def _pooled(graph: Graph, features: str, *, kernel: int, stride: int, padding: int) -> str:
-    return graph.add("MaxPool", features, kernel_shape=[kernel] * 2, strides=[stride] * 2, pads=[padding] * 4)
-
-
-@_writes(nn.MaxPool2d)
-def _max_pool(graph: Graph, module: Any, features: str) -> str:
-    kernel, stride, padding = module.kernel_size, module.stride, module.padding
-    return _pooled(graph, features, kernel=kernel, stride=stride, padding=padding)
-
-
-@_writes(nn.ZeroPad2d)
-def _padded(graph: Graph, module: nn.ZeroPad2d, features: str) -> str:
-    left, right, top, bottom = module.padding
-    return graph.add("Pad", features, graph.constant([0, 0, top, left, 0, 0, bottom, right]))
-
-
-@_writes(nn.Upsample)
-def _upsampled(graph: Graph, module: nn.Upsample, features: str) -> str:
+def _resized(graph: Graph, features: GraphTensor, *, scale_factor: float, **_: object) -> str:
     # With `asymmetric` and `floor`, nearest repeats pixels, as in torch.
     return graph.add(
         "Resize",
-        features,
+        features.name,
         "",
-        graph.constant(np.array([1, 1, 2, 2], np.float32)),
+        graph.constant(np.array([1, 1, scale_factor, scale_factor], np.float32)),
         coordinate_transformation_mode="asymmetric",
         mode="nearest",
         nearest_mode="floor",
     )
 
 
-@_writes(Proto)
-def _prototypes(graph: Graph, module: Proto, features: str) -> str:
-    assert module.quarters is not None, "expected a fused network"
-    widened = written(graph, module.cv1, features)
-    quarters = []
-    for convolution, (row, column) in zip(module.quarters, PARITIES, strict=True):
-        assert isinstance(convolution, nn.Conv2d)
-        pads = [1 - row, 1 - column, row, column]
-        quarter = _weighted(graph, "Conv", convolution, widened, pads=pads)
-        quarters.append(written(graph, module.cv3, written(graph, module.cv2.act, quarter)))
-    return graph.add("DepthToSpace", graph.add("Concat", *quarters, axis=1), blocksize=2, mode="DCR")
+def _padded(graph: Graph, features: GraphTensor, pad: Sequence[int], *_: object, **__: object) -> str:
+    left, right, top, bottom = pad
+    return graph.add("Pad", features.name, graph.constant([0, 0, top, left, 0, 0, bottom, right]))
 
 
-@_writes(TransformerBlock)
-def _transformer(graph: Graph, module: TransformerBlock, features: str) -> str:
-    """Add a transformer that reads and returns features (batch, channels, ny, nx)."""
-    flat = graph.add("Reshape", features, graph.constant([0, 0, -1]))
-    cells = graph.add("Transpose", flat, perm=[0, 2, 1])
-    assert module.linear.bias is not None
-    cells = graph.add("Add", cells, _linear(graph, cells, module.linear.weight, module.linear.bias))
-    for layer in module.tr:
-        assert isinstance(layer, TransformerLayer)
-        cells = _transformer_layer(graph, layer, cells)
-    return graph.add("Reshape", graph.add("Transpose", cells, perm=[0, 2, 1]), graph.add("Shape", features))
+def _linear(graph: Graph, cells: GraphTensor, weight: Tensor, bias: Tensor | None = None) -> str:
+    return _product(graph, cells.name, weight, bias)
 
 
-def _transformer_layer(graph: Graph, module: TransformerLayer, cells: str) -> str:
-    attended = graph.add("Add", _attention(graph, module, cells), cells)
-    refined = _linear(graph, _linear(graph, attended, module.fc1.weight), module.fc2.weight)
-    return graph.add("Add", refined, attended)
-
-
-def _attention(graph: Graph, module: TransformerLayer, cells: str) -> str:
-    attention = module.ma
-    heads, size = attention.num_heads, attention.embed_dim // attention.num_heads
-    assert attention.in_proj_weight is not None
-    assert attention.in_proj_bias is not None
-    queries, keys, values = (
-        _linear(graph, _linear(graph, cells, first.weight), weight, bias)
-        for first, weight, bias in zip(
-            (module.q, module.k, module.v),
-            attention.in_proj_weight.chunk(3),
-            attention.in_proj_bias.chunk(3),
-            strict=True,
-        )
-    )
-    by_head = graph.constant([0, 0, heads, size])
-    queries = graph.add("Transpose", graph.add("Reshape", queries, by_head), perm=[0, 2, 1, 3])
-    keys = graph.add("Transpose", graph.add("Reshape", keys, by_head), perm=[0, 2, 3, 1])
-    values = graph.add("Transpose", graph.add("Reshape", values, by_head), perm=[0, 2, 1, 3])
-    queries = graph.add("Mul", queries, graph.constant(np.float32(1 / math.sqrt(size))))
-    shares = graph.add("Softmax", graph.add("MatMul", queries, keys), axis=-1)
-    mixed = graph.add("Transpose", graph.add("MatMul", shares, values), perm=[0, 2, 1, 3])
-    joined = graph.add("Reshape", mixed, graph.constant([0, 0, attention.embed_dim]))
-    return _linear(graph, joined, attention.out_proj.weight, attention.out_proj.bias)
-
-
-def _linear(graph: Graph, cells: str, weight: Tensor, bias: Tensor | None = None) -> str:
+def _product(graph: Graph, cells: str, weight: Tensor, bias: Tensor | None) -> str:
     product = graph.add("MatMul", cells, graph.constant(weight.T))
     return product if bias is None else graph.add("Add", product, graph.constant(bias))
 
 
-_WRITERS.update(
-    {
-        nn.SiLU: lambda graph, _, features: graph.add("Mul", features, graph.add("Sigmoid", features)),
-        nn.Hardswish: lambda graph, _, features: graph.add(
-            "Mul", features, graph.add("HardSigmoid", features, alpha=1 / 6, beta=0.5)
-        ),
-        nn.LeakyReLU: lambda graph, module, features: graph.add(
-            "LeakyRelu", features, alpha=module.negative_slope
-        ),
-        nn.ReLU: lambda graph, _, features: graph.add("Relu", features),
-        nn.Identity: lambda _graph, _module, features: features,
-        # A fused Focus is a single convolution.
-        Focus: lambda graph, module, features: written(graph, module.conv, features),
-        Contract: lambda graph, module, features: graph.add("SpaceToDepth", features, blocksize=module.gain),
-        Expand: lambda graph, module, features: graph.add(
-            "DepthToSpace", features, blocksize=module.gain, mode="DCR"
-        ),
-        Concat: lambda graph, _, *features: graph.add("Concat", *features, axis=1),
-    }
-)
+def _attended(
+    graph: Graph,
+    queries: GraphTensor,
+    keys: GraphTensor,
+    values: GraphTensor,
+    channels: int,
+    heads: int,
+    weight: Tensor,
+    bias: Tensor,
+    *others: Any,
+    **__: object,
+) -> str:
+    """Attention of every cell to every cell, (cells, 1, channels) each, in parts of the channels."""
+    *_, out_weight, out_bias = others
+    by_head = graph.constant([-1, heads, channels // heads])
+    query, key, value = (
+        graph.add("Reshape", _product(graph, read.name, *factors), by_head)
+        for read, *factors in zip((queries, keys, values), weight.chunk(3), bias.chunk(3), strict=True)
+    )
+    query = graph.add("Mul", query, graph.constant(np.float32(1 / math.sqrt(channels // heads))))
+    query, value = (graph.add("Transpose", part, perm=[1, 0, 2]) for part in (query, value))
+    products = graph.add("MatMul", query, graph.add("Transpose", key, perm=[1, 2, 0]))
+    mixed = graph.add("MatMul", graph.add("Softmax", products, axis=-1), value)
+    joined = graph.add(
+        "Reshape", graph.add("Transpose", mixed, perm=[1, 0, 2]), graph.constant([-1, 1, channels])
+    )
+    return _product(graph, joined, out_weight, out_bias)
+
+
+_WRITERS: Mapping[Callable[..., object], Callable[..., str]] = {
+    torch.conv2d: _convolved,
+    torch.conv_transpose2d: _transposed,
+    **dict.fromkeys((torch.max_pool2d, functional.max_pool2d), _pooled),
+    functional.interpolate: _resized,
+    functional.pad: _padded,
+    torch.cat: lambda graph, parts, dim: graph.add("Concat", *(part.name for part in parts), axis=dim),
+    functional.silu: lambda graph, features, **_: graph.add(
+        "Mul", features.name, graph.add("Sigmoid", features.name)
+    ),
+    functional.hardswish: lambda graph, features, **_: graph.add(
+        "Mul", features.name, graph.add("HardSigmoid", features.name, alpha=1 / 6, beta=0.5)
+    ),
+    functional.leaky_relu: lambda graph, features, negative_slope, **_: graph.add(
+        "LeakyRelu", features.name, alpha=negative_slope
+    ),
+    functional.relu: lambda graph, features, **_: graph.add("Relu", features.name),
+    functional.linear: _linear,
+    functional.multi_head_attention_forward: _attended,
+}

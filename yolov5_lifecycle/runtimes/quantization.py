@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
@@ -53,10 +53,13 @@ class Quantization:
         content = [read, sorted(self.fp32_layers), self.weight_bits]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
-    def of_modules(self, network: Network) -> dict[nn.Module, Activation]:
-        """The input of each int8 convolution of `network`, which must fit, see `check`."""
-        found = convolutions(network)
-        return {found[name]: read for name, read in self.activations.items() if name not in self.fp32_layers}
+    def of_weights(self, network: Network) -> dict[Tensor, Activation]:
+        """The input of each int8 convolution of `network`, which must fit, see `check`; by its weights."""
+        return {
+            module.weight: self.activations[name]
+            for name, module in convolutions(network).items()
+            if name not in self.fp32_layers
+        }
 
     def check(self, found: Mapping[str, nn.Conv2d]) -> None:
         """Raise QuantizationError unless the activations are those of the convolutions `found`."""
@@ -97,15 +100,17 @@ def quantized_weight(weight: NDArray[np.float32], bits: int) -> tuple[NDArray[np
 
 
 def corrected_bias(
-    module: nn.Conv2d, rounded: NDArray[np.float32], means: Sequence[float]
+    weight: NDArray[np.float32],
+    bias: NDArray[np.float32],
+    rounded: NDArray[np.float32],
+    means: Sequence[float],
 ) -> NDArray[np.float32]:
-    """The bias (out,) with which the `rounded` weights have the same mean output as `module`.
+    """The bias (out,) with which the `rounded` weights have the same mean output as `weight` and `bias`.
 
-    This recovers most of the rounding error: 30.7 dB for the features of yolov5n instead of 25.2.
+    `means` are those of the channels (in,) that the convolution reads. This recovers most of the rounding
+    error: 30.7 dB for the features of yolov5n instead of 25.2.
     """
-    assert module.bias is not None
-    lost = (module.weight.detach().numpy() - rounded).sum(axis=(2, 3))  # (out, in / groups)
-    by_group = lost.reshape(module.groups, -1, lost.shape[1])
-    read = np.asarray(means, np.float32).reshape(module.groups, 1, -1)
-    shift = (by_group * read).sum(axis=2).ravel()
-    return np.asarray(module.bias.detach().numpy() + shift, np.float32)
+    lost = (weight - rounded).sum(axis=(2, 3))  # (out, in / groups)
+    read = np.asarray(means, np.float32).reshape(-1, 1, lost.shape[1])  # (groups, 1, in / groups)
+    shift = (lost.reshape(len(read), -1, lost.shape[1]) * read).sum(axis=2).ravel()
+    return np.asarray(bias + shift, np.float32)

@@ -95,9 +95,9 @@ def load_export(export: Export, runtime: str, *, device: str, precision: str) ->
             "'auto', 'onnxruntime' or 'openvino', or the .pt."
         )
     engine = imported_engine(runtime, "fp32")
-    from yolov5_lifecycle.runtimes.exported_runtime import ExportedRuntime
+    from yolov5_lifecycle.runtimes.exported_runtime import load_exported
 
-    return ExportedRuntime.load(export, engine, device=device)
+    return load_exported(export, engine, device=device)
 
 
 def _check_coarse(runtime: str, precision: str, quantization: Quantization | None) -> None:
