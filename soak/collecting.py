@@ -141,7 +141,7 @@ def _is_shared(robot: _Robot, _: Disk) -> None:
 
 def _fills_up(robot: _Robot, disk: Disk) -> None:
     with disk.full():
-        robot.is_told("No space left on device")
+        robot.is_told("are free on the disk")
         robot.reload()
 
 

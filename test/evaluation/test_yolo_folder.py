@@ -13,8 +13,13 @@ from hypothesis import strategies as st
 
 from yolov5_lifecycle.evaluation import yolo_folder
 from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, DataError, LabelledFolder, Problems
-from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES, MAX_LINES, label_text, parsed_labels
+from yolov5_lifecycle.evaluation.yolo_folder import (
+    MAX_LABEL_BYTES,
+    MAX_LINES,
+    label_text,
+    parsed_labels,
+    read_yolo_folder,
+)
 
 BOX = "0 0.5 0.5 0.2 0.2\n"
 NAMES = "names: [cat, dog]\n"
@@ -171,13 +176,9 @@ def test_the_root_is_not_advised_for_a_file_that_does_not_exist(line: str, tmp_p
     ("names", "expected"),
     [
         pytest.param("names: {1: dog, 0: cat}", ("cat", "dog"), id="mapping in disorder"),
-        pytest.param("names: [no, 1]", ("False", "1"), id="words of YAML"),
-        pytest.param("names: ['no', \"1\"]", ("no", "1"), id="words in quotes"),
-        pytest.param("names: [0x10, 1_0, .5, 0b_]", ("16", "10", "0.5", "0b_"), id="numbers of YAML"),
-        pytest.param("names: [~, '', cat]", ("class 0", "class 1", "cat"), id="no name"),
-        pytest.param("names: [2024-01-02, = ]", ("2024-01-02", "="), id="what is neither text nor number"),
+        pytest.param("names: [no, 1, .5]", ("no", "1", ".5"), id="as it is written"),
+        pytest.param("names: ['', cat]", ("class 0", "cat"), id="no name"),
         pytest.param("names: {0: cat, 2: dog}", ("cat", "class 1", "dog"), id="gap"),
-        pytest.param("names: [1, '1']", ("1 (class 0)", "1"), id="number and text"),
         pytest.param('names: ["a\\tb", "\\e[31m"]', ("a b", r"\x1b[31m"), id="unprintable"),
         pytest.param("nc: 2", None, id="none"),
     ],
@@ -300,7 +301,7 @@ def test_a_label_file_of_too_many_lines_is_broken(text: str) -> None:
 
 def test_a_label_file_that_is_too_large_is_broken(tmp_path: Path) -> None:
     path = tmp_path / "1.txt"
-    path.write_text(" " * (MAX_BYTES + 1))
+    path.write_text(" " * (MAX_LABEL_BYTES + 1))
     with pytest.raises(DataError, match="more than 4194304 bytes"):
         label_text(path)
 
@@ -355,7 +356,7 @@ def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> Non
 
 def test_the_number_of_objects_is_limited() -> None:
     lines = (f"0 0.5 0.5 0.2 {0.1 + number / 1e6}" for number in range(MAX_BOXES_PER_IMAGE + 1))
-    with pytest.raises(DataError, match="more than 10000 objects"):
+    with pytest.raises(DataError, match="found 10001 objects in an image, more than 10000"):
         parsed_labels("\n".join(lines), 1)
 
 

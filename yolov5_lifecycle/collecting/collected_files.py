@@ -20,8 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.collecting.descriptors import SHADES, Embedding, Shades, unit
 from yolov5_lifecycle.evaluation.ground_truth import MAX_IMAGES, DataError
-from yolov5_lifecycle.evaluation.yolo_folder import read_description
-from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES as MAX_LABEL_BYTES
+from yolov5_lifecycle.evaluation.yolo_folder import MAX_LABEL_BYTES, read_description
 from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES
 

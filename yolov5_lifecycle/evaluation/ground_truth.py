@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_BOXES_PER_IMAGE = 10_000
@@ -51,6 +52,20 @@ def check_count(
     """Raise DataError if there are more than `limit` of `what`; `where` and `remedy` are for the message."""
     if count > limit:
         raise DataError(f"{where}: expected at most {limit:,} {what}, found {count:,} or more: {remedy}.")
+
+
+def check_box_count(count: int) -> None:
+    """Raise DataError if an image has more than MAX_BOXES_PER_IMAGE objects."""
+    if count > MAX_BOXES_PER_IMAGE:
+        raise DataError(f"found {count} objects in an image, more than {MAX_BOXES_PER_IMAGE}")
+
+
+def read_data_file(path: Path, max_bytes: int) -> bytes:
+    """The content of a text file of a data set, see `read_text_file`; raises DataError, which names it."""
+    try:
+        return read_text_file(path, max_bytes)
+    except (OSError, RegularFileError) as error:
+        raise DataError(f"{path}: {error.strerror if isinstance(error, OSError) else error}.") from None
 
 
 class Problems:
@@ -167,6 +182,11 @@ def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
         remedy = "; --root names the folder that may be read" if is_helped else ""
         raise DataError(f"'{shown}' lies outside of {root}{remedy}")
     return path
+
+
+def absolute(path: Path) -> Path:
+    """`path` from the root of the file system on, without `..`; links are kept."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - Path.resolve would follow links
 
 
 def _exists(path: Path) -> bool:

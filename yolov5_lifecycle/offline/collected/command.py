@@ -26,7 +26,7 @@ from yolov5_lifecycle.collecting.collected_files import (
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, DataError, check_count
-from yolov5_lifecycle.evaluation.yolo_labels import label_text, objects_in
+from yolov5_lifecycle.evaluation.yolo_folder import label_text, labelled_objects
 from yolov5_lifecycle.offline.collected.arguments import command_parser
 from yolov5_lifecycle.offline.collected.contact_sheet import contact_sheet, first_reason
 from yolov5_lifecycle.printable import in_one_line
@@ -168,10 +168,10 @@ def _copy(folder: Path, output: Path, image: str, class_ids: Sequence[int]) -> N
         (output / file_of(image, kind)).parent.mkdir(parents=True, exist_ok=True)
     labels = file_of(image, LABELS)
     try:
-        objects = objects_in(label_text(folder / labels) or "", len(class_ids))
+        objects = list(labelled_objects(label_text(folder / labels) or "", len(class_ids)))
     except DataError as error:
         raise CollectingError(f"{folder / labels}: {error}; correct it") from None
-    rows = ((class_ids[class_id], *values) for class_id, values in objects)
+    rows = ((class_ids[each.class_id], *each.values) for each in objects)
     (output / labels).write_text("".join(f"{' '.join(map(str, row))}\n" for row in rows))
     for path in (file_of(image, FRAMES), image):
         shutil.copyfile(folder / path, output / path, follow_symlinks=False)
