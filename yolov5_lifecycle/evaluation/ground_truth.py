@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.printable import in_one_line
@@ -109,9 +109,7 @@ class Boxes:
     """(n,) whether the box surrounds many objects, as COCO's `iscrowd`: detections in it are not counted."""
 
     @classmethod
-    def of(
-        cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None
-    ) -> Boxes:
+    def of(cls, rows: ArrayLike, class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None) -> Boxes:
         """Boxes with the corners `rows`; None: none of them is a crowd."""
         xyxy = np.array(rows, np.float64).reshape(-1, 4)
         crowds = np.zeros(len(xyxy), np.bool_) if is_crowd is None else np.array(is_crowd, np.bool_)
@@ -145,8 +143,7 @@ class Labels:
         return Boxes(pixels, self.boxes.class_ids, self.boxes.is_crowd)
 
 
-@dataclass(frozen=True, eq=False)
-class LabelledPath:
+class LabelledPath(NamedTuple):
     """An image file and its labels."""
 
     path: Path
