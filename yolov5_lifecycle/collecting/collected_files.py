@@ -139,7 +139,8 @@ def recorded_images(folder: Path) -> list[str]:
     for kind in SUFFIXES:
         _check_no_link(folder / kind)
     records = (record.relative_to(folder / FRAMES) for record in FolderTree().files(folder / FRAMES))
-    found = (f"{IMAGES}/{record.with_suffix(SUFFIXES[IMAGES])}" for record in records)
+    suffix = SUFFIXES[FRAMES]
+    found = (f"{IMAGES}/{record.with_suffix('.jpg')}" for record in records if record.suffix == suffix)
     images = sorted(filter(_IMAGE.fullmatch, found))
     if len(images) > MAX_IMAGES:
         raise CollectingError(
