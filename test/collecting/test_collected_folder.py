@@ -325,9 +325,7 @@ def test_a_damaged_record_is_left_out_and_its_image_stays(tmp_path: Path) -> Non
 
 def test_a_record_without_an_image_is_removed_with_its_labels(tmp_path: Path) -> None:
     path = foreign(tmp_path)
-    image = images_of(path)[0].path
-    (path / image).unlink()
-    (path / file_of(images_of(path)[0].path, FRAMES)).with_suffix(".txt").touch()  # is none
+    (path / images_of(path)[0].path).unlink()
     CollectedFolder(path, LARGE).close()
     assert check(path) == 1
 
