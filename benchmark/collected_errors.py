@@ -23,7 +23,7 @@ from benchmark.report import Goal, Row, options_of, publish, row
 from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Candidate, Origin
-from yolov5_lifecycle.collecting.collected_files import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.collecting.triggers import CollectRules
@@ -243,7 +243,7 @@ def collect(detector: Detector, seed: int, folder: Path) -> Outcome:
         outcome.places.append(frame.place)
         outcome.truths.append(frame.truth)
     collector.close(0.0)
-    kept = [frame.nanosec for frame in read_frame_list(folder).frames]
+    kept = [frame.nanosec for _, frame in kept_images(folder)]
     return replace(outcome, kept=kept)
 
 

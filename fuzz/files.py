@@ -17,8 +17,7 @@ from support.recorded_scene import record, text
 from fuzz.inputs import folder, taken, written
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, Boxes, DataError, Problems
-from yolov5_lifecycle.evaluation.yolo_folder import read_description, read_yolo_folder
-from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
+from yolov5_lifecycle.evaluation.yolo_folder import parsed_labels, read_description, read_yolo_folder
 from yolov5_lifecycle.offline.recording import RecordingError, open_recording
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.quantization.calibration_file import (

@@ -19,7 +19,7 @@ from soak import faulty_detector
 from soak.disk import Disk
 from soak.finding import Finding, number_of, problem
 from soak.subject import Sender, Subject, subject_of
-from yolov5_lifecycle.collecting.collected_files import IMAGES, LABELS, read_frame_list
+from yolov5_lifecycle.collecting.collected_files import LABELS, SUFFIXES, file_of, kept_images
 from yolov5_lifecycle.collecting.collector import IDLE_S, RETRY_S
 from yolov5_lifecycle.ros.child_process import entry_point, own_domain
 
@@ -101,15 +101,15 @@ class _Robot:
 
 def wrong_in(folder: Path) -> list[str]:
     """What is not as it has to be in a folder into which nobody writes."""
-    listed = read_frame_list(folder)
-    wrong = [frame.image for frame in listed.frames if not _is_whole(folder / frame.image, frame.size_wh)]
-    expected = {path for line in listed.lines for path in (line.image, line.labels)}
+    frames = [frame for _, frame in kept_images(folder)]
+    wrong = [frame.image for frame in frames if not _is_whole(folder / frame.image, frame.size_wh)]
+    expected = {file_of(frame.image, kind) for frame in frames for kind in SUFFIXES}
     files = {os.fspath(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     wrong += sorted(expected - files)
-    wrong += sorted(path for path in files - expected if path.startswith((IMAGES, LABELS, ".")))
+    wrong += sorted(path for path in files - expected if path.startswith((*SUFFIXES, ".")))
     size = sum((folder / path).stat().st_size for path in files if path != "data.yaml")
     if size > _MAX_MB * 1_000_000:
-        wrong.append(f"{size} bytes in {len(listed.lines)} images")
+        wrong.append(f"{size} bytes in {len(frames)} images")
     return wrong
 
 
@@ -141,7 +141,7 @@ def _is_shared(robot: _Robot, _: Disk) -> None:
 
 def _fills_up(robot: _Robot, disk: Disk) -> None:
     with disk.full():
-        robot.is_told("No space left on device")
+        robot.is_told("are free on the disk")
         robot.reload()
 
 
@@ -173,10 +173,9 @@ def _killed(domain: int, folder: Path, after_s: float) -> None:
         robot.drive(after_s)
         robot.subject.process.stop(signal.SIGKILL)
         assert not robot.subject.escaped
-    listed = read_frame_list(folder)
-    assert listed.broken <= 1
-    assert all(_is_whole(folder / frame.image, frame.size_wh) for frame in listed.frames)
-    assert all((folder / line.labels).is_file() for line in listed.lines)
+    frames = [frame for _, frame in kept_images(folder)]
+    assert all(_is_whole(folder / frame.image, frame.size_wh) for frame in frames)
+    assert all((folder / file_of(frame.image, LABELS)).is_file() for frame in frames)
 
 
 _SHARED = "a second process"

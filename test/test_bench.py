@@ -46,7 +46,7 @@ from benchmark.work import image_file
 from tools.shapes.evaluate import UNSEEN_SEED, stills
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.collecting.collected_files import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import Letterbox
 from yolov5_lifecycle.detection.loaded_detector import load_detector
@@ -317,7 +317,7 @@ def test_a_detector_collects_as_the_figures_say(way: str, kept: int, tmp_path: P
     options = argparse.Namespace(rate=10.0, seconds=2.5)
     measured = collecting.passage(way, SHAPES, image_file(IMAGE_HW, tmp_path), tmp_path, options)
     assert measured.cpu_s > 0
-    found = len(read_frame_list(tmp_path / "collected").frames) if way != OFF else 0
+    found = len([*kept_images(tmp_path / "collected")]) if way != OFF else 0
     assert found == kept if way != ONE_A_SECOND else found >= kept
 
 

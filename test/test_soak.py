@@ -132,8 +132,8 @@ def test_counts_that_become_smaller_are_noticed() -> None:
         pytest.param("truncate -s 300 images/*/000001.jpg", True, id="half an image"),
         pytest.param("rm labels/*/000001.txt", True, id="no labels"),
         pytest.param("touch labels/$(ls labels)/.x.part", True, id="an unfinished file"),
-        pytest.param("truncate -s 0 frames.jsonl", True, id="images without lines"),
-        pytest.param("truncate -s 1100K frames.jsonl", True, id="beyond the quota"),
+        pytest.param("truncate -s 0 frames/*/000001.json", True, id="an image without a record"),
+        pytest.param("truncate -s 1100K large", True, id="beyond the quota"),
     ],
 )
 def test_what_is_wrong_in_a_folder_of_collected_images_is_noticed(

@@ -11,7 +11,7 @@ from support.candidates import CAT, SIZE_HW, candidate, found, rules
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.masks import Masks
-from yolov5_lifecycle.evaluation.yolo_labels import parsed_labels
+from yolov5_lifecycle.evaluation.yolo_folder import parsed_labels
 from yolov5_lifecycle.images.image import ColourImage
 
 HEIGHT, WIDTH = SIZE_HW

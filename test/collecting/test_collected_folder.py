@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,18 +15,19 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.candidates import CLASS_NAMES, RECORD, add, candidate, keep, look_of
+from support.candidates import CLASS_NAMES, RECORD, add, candidate, frames_of, images_of, keep, look_of
 from support.started import started
 
-from yolov5_lifecycle.collecting import collected_files, collected_folder
+from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.collected_files import (
     FRAMES,
-    MAX_RECORD_BYTES,
+    IMAGES,
+    LABELS,
     CollectedFrame,
     CollectingError,
-    FrameLine,
     embedding_text,
-    read_frame_list,
+    file_of,
+    recorded_images,
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.collecting.triggers import Detail, Trigger
@@ -46,29 +48,28 @@ def labels(folder: Path) -> list[str]:
 
 def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
     """Check that the images, the labels and the list agree; return their number."""
-    listed = read_frame_list(folder)
-    assert (listed.broken, listed.without_image) == (0, ())
-    assert sorted(frame.image for frame in listed.lines) == images(folder)
-    assert sorted(frame.labels for frame in listed.lines) == labels(folder)
+    kept = [image.path for image in images_of(folder)]
+    assert kept == recorded_images(folder)
+    assert kept == images(folder)
+    assert [file_of(image, LABELS) for image in kept] == labels(folder)
     assert [*folder.rglob("*.part")] == []
     told: list[str] = []
     problems = Problems(told.append)
     data = read_yolo_folder(folder, problems)
     assert (data.class_names, told) == (names, [])
-    assert len(data.images) == len(listed.lines)
-    return len(listed.lines)
+    assert len(data.images) == len(kept)
+    return len(kept)
 
 
 def test_a_kept_frame_is_an_image_its_labels_and_a_line(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path / "new", LARGE, session=RecordingSession())
     assert keep(folder)
-    (line,) = read_frame_list(tmp_path / "new").lines
-    frame = line.frame
+    (frame,) = frames_of(tmp_path / "new")
     assert frame.image == f"images/{folder.session.name}/000001.jpg"
     assert (frame.frame_id, frame.sec, frame.nanosec, frame.size_wh) == ("optical_frame", 12, 34, (64, 48))
     assert [(each.class_name, each.box_xyxy) for each in frame.objects] == [("cat", (10, 10, 30, 40))]
     assert frame.weights_sha256 == "ab" * 32
-    files = (line.image, line.labels, FRAMES)
+    files = (file_of(frame.image, kind) for kind in (IMAGES, LABELS, FRAMES))
     written = sum((tmp_path / "new" / path).stat().st_size for path in files)
     assert folder.size_bytes == written
     folder.close()
@@ -81,17 +82,17 @@ def test_the_least_valuable_frame_goes_first_and_of_equals_the_oldest(tmp_path: 
     assert kept == [True, True, True, True, False, True]
     folder.close()
     assert check(tmp_path) == ROOM
-    assert [frame.value for frame in read_frame_list(tmp_path).frames] == [2.0, 2.0, 1.0]
+    assert [frame.value for frame in frames_of(tmp_path)] == [2.0, 2.0, 1.0]
     assert images(tmp_path) == [f"images/{folder.session.name}/{number:06d}.jpg" for number in (1, 4, 6)]
     CollectedFolder(tmp_path, replace(LARGE, max_frames=1)).close()  # a smaller one takes effect at once
-    assert [frame.value for frame in read_frame_list(tmp_path).frames] == [2.0]
+    assert [frame.value for frame in frames_of(tmp_path)] == [2.0]
 
 
 def test_the_folder_is_never_larger_than_its_quota(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, replace(LARGE, max_bytes=30_000))
     for seed in range(40):
         assert keep(folder, seed)
-        kept = [path for path in tmp_path.rglob("*") if path.suffix in (".jpg", ".txt", ".jsonl")]
+        kept = [path for path in tmp_path.rglob("*") if path.suffix in (".jpg", ".txt", ".json")]
         assert sum(path.stat().st_size for path in kept) == folder.size_bytes <= 30_000
     folder.close()
     assert check(tmp_path) > 2
@@ -113,7 +114,7 @@ def test_what_was_kept_before_is_known_again_and_a_process_goes_on_with_its_sess
     keep(first, 5)
     first.close()
     again = CollectedFolder(tmp_path, LARGE)
-    assert (len(again.lines), again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
+    assert (len(again), again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
     assert again.descriptors.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
     assert again.descriptors.distance(look_of(6)) > 0.5
     assert again.session.name != first.session.name
@@ -172,7 +173,7 @@ def test_nothing_is_written_into_another_folder_of_the_same_name(tmp_path: Path)
     path = tmp_path / "stick"
     folder = CollectedFolder(path, replace(LARGE, max_frames=1))
     keep(folder, 0)
-    keep(folder, 1)  # a line of the list has no image now
+    keep(folder, 1)
     path.rename(tmp_path / "unplugged")
     with pytest.raises(CollectingError, match="unmounted"):
         keep(folder, 2)
@@ -245,12 +246,21 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "linked",
-    ["images", "images/{session}", "{image}", "labels", "labels/{session}", "{labels}", "data.yaml", FRAMES],
+    [
+        "images",
+        "images/{session}",
+        "{image}",
+        "labels",
+        "labels/{session}",
+        "{labels}",
+        "frames",
+        "{record}",
+        "data.yaml",
+    ],
 )
 def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
     path = foreign(tmp_path / "foreign")
-    (line, _) = read_frame_list(path).lines
-    inner = path / linked.format(session=line.session, image=line.image, labels=line.labels)
+    inner = path / named(path, linked)
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
     before = sorted(tmp_path.rglob("*"))
@@ -268,45 +278,56 @@ def foreign(path: Path) -> Path:
     return path
 
 
+def named(folder: Path, pattern: str) -> str:
+    """The path of a part of `folder`, of its first image if it is of one."""
+    kept = images_of(folder)[0]
+    of_image = {"labels": file_of(kept.path, LABELS), "record": file_of(kept.path, FRAMES)}
+    return pattern.format(session=kept.session, image=kept.path, **of_image)
+
+
 def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
     (tmp_path / "outside").mkdir()
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "labels").symlink_to(tmp_path / "outside")
-    folder = CollectedFolder(tmp_path / "foreign", LARGE)
-    with pytest.raises(CollectingError, match="expected a folder, found a link"):
-        keep(folder)
-    folder.close()
+    with pytest.raises(CollectingError, match="expected a file or folder, found a link"):
+        CollectedFolder(tmp_path / "foreign", LARGE)
     assert [*(tmp_path / "outside").iterdir()] == []
 
 
 @pytest.mark.parametrize(
     ("name", "max_bytes"),
-    [("{image}", 256 << 20), ("{labels}", 4 << 20), ("data.yaml", 1 << 20), (FRAMES, 512 << 20)],
+    [("{image}", 256 << 20), ("{labels}", 4 << 20), ("data.yaml", 1 << 20), ("{record}", 32 << 20)],
 )
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(
     tmp_path: Path, name: str, max_bytes: int
 ) -> None:
-    (line, _) = read_frame_list(foreign(tmp_path)).lines
-    os.truncate(tmp_path / name.format(image=line.image, labels=line.labels), max_bytes + 1)
+    os.truncate(tmp_path / named(foreign(tmp_path), name), max_bytes + 1)
     with pytest.raises(CollectingError, match=f"expected at most {max_bytes:,} bytes"):
         CollectedFolder(tmp_path, LARGE)
 
 
-def test_too_many_lines_are_refused_and_not_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_records_are_refused_and_not_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(collected_files, "MAX_IMAGES", 1, raising=False)
-    with pytest.raises(CollectingError, match="expected at most 1 lines"):
+    with pytest.raises(CollectingError, match="expected at most 1 records"):
         CollectedFolder(foreign(tmp_path), LARGE)
 
 
-def test_the_list_never_grows_beyond_what_can_be_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(collected_folder, "_MAX_LINES_BYTES", 3000, raising=False)
-    folder = CollectedFolder(tmp_path, LARGE)
-    assert all(keep(folder, seed) for seed in range(12))
-    folder.close()
-    assert check(tmp_path) > 1
-    assert (tmp_path / FRAMES).stat().st_size <= 3000
+def test_a_damaged_record_is_left_out_and_its_image_stays(tmp_path: Path) -> None:
+    path = foreign(tmp_path)
+    image = images_of(path)[0].path
+    (path / file_of(image, FRAMES)).write_bytes(TEXT)  # that of another image
+    with closing(CollectedFolder(path, LARGE)) as folder:
+        assert len(folder) == 1
+    assert (path / image).exists()
+
+
+def test_a_record_without_an_image_is_removed_with_its_labels(tmp_path: Path) -> None:
+    path = foreign(tmp_path)
+    (path / images_of(path)[0].path).unlink()
+    CollectedFolder(path, LARGE).close()
+    assert check(path) == 1
 
 
 WRITER = """
@@ -332,35 +353,31 @@ def test_a_process_that_is_killed_leaves_a_readable_folder(tmp_path: Path) -> No
             for _ in range(int(rng.integers(1, 60))):
                 assert writer.stdout.readline()
             writer.send_signal(signal.SIGKILL)
-        left = read_frame_list(tmp_path)
-        assert left.broken <= 1
-        assert all((tmp_path / frame.labels).exists() for frame in left.lines)
+        left = images_of(tmp_path)
+        assert [kept.path for kept in left] == images(tmp_path)
+        assert all((tmp_path / file_of(kept.path, LABELS)).exists() for kept in left)
         CollectedFolder(tmp_path, LARGE).close()
         assert 1 <= check(tmp_path) <= 20
-    assert (tmp_path / FRAMES).stat().st_size < 1 << 20
 
 
-LINE = FrameLine.of(RECORD).text
+TEXT = RECORD.model_dump_json().encode()
 
 
-def test_a_record_is_one_line_that_reads_back() -> None:
-    line = FrameLine.of(RECORD)
-    assert LINE.count(b"\n") == 1
-    assert line.frame == RECORD
-    assert line.labels == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
-    assert line.session == "20261124T070343Z-0a1b2c"
+def test_a_record_reads_back() -> None:
+    assert CollectedFrame.of_json(TEXT) == RECORD
+    assert file_of(RECORD.image, LABELS) == "labels/20261124T070343Z-0a1b2c/000001_front.txt"
+    assert file_of(RECORD.image, FRAMES) == "frames/20261124T070343Z-0a1b2c/000001_front.json"
 
 
 def changed(**values: Any) -> bytes:
-    return json.dumps(json.loads(LINE) | values).encode() + b"\n"
+    return json.dumps(json.loads(TEXT) | values).encode()
 
 
 @pytest.mark.parametrize(
-    "line",
+    "text",
     [
         pytest.param(b"", id="empty"),
-        pytest.param(LINE[:-1], id="without its end"),
-        pytest.param(b" " * MAX_RECORD_BYTES + LINE, id="too long"),
+        pytest.param(TEXT[:-1], id="without its end"),
         pytest.param(changed(image="images/../../etc/1.jpg"), id="another folder"),
         pytest.param(changed(image="images/drive/000001.jpg\n"), id="a line break"),
         pytest.param(changed(image="images/drive/000001_" + "a" * 99 + ".jpg"), id="a long name"),
@@ -372,16 +389,16 @@ def changed(**values: Any) -> bytes:
         pytest.param(changed(shades="AAAA"), id="too few shades"),
     ],
 )
-def test_what_is_no_record_is_refused(line: bytes) -> None:
+def test_what_is_no_record_is_refused(text: bytes) -> None:
     with pytest.raises(ValueError, match=r"."):
-        CollectedFrame.of_line(line)
+        CollectedFrame.of_json(text)
 
 
 @pytest.mark.parametrize("value", [b"0", b"[]", b"{}"])
-def test_a_line_is_refused_before_its_many_values_are_built(value: bytes) -> None:
-    line = LINE[:-2] + b', "objects": [' + b",".join([value] * 300_001) + b"]}\n"
+def test_a_record_is_refused_before_its_many_values_are_built(value: bytes) -> None:
+    text = TEXT[:-1] + b', "objects": [' + b",".join([value] * 300_001) + b"]}"
     with pytest.raises(ValueError, match="at most 300000 values, lists and objects"):
-        CollectedFrame.of_line(line)
+        CollectedFrame.of_json(text)
 
 
 def embedding_of(text: str) -> NDArray[np.float32]:

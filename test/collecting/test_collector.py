@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.candidates import candidate, look_of, rules
+from support.candidates import candidate, frames_of, look_of, rules
 
 from yolov5_lifecycle.collecting import collector as module
 from yolov5_lifecycle.collecting.candidate import Origin
-from yolov5_lifecycle.collecting.collected_files import CollectedFrame, read_frame_list
+from yolov5_lifecycle.collecting.collected_files import CollectedFrame
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
 from yolov5_lifecycle.collecting.triggers import Detail, Pace, Trigger
@@ -56,10 +56,10 @@ class Disk:
             raise OSError(self.failures.pop())
         return CollectedFolder(self.path, self.quota)
 
-    def settled(self) -> tuple[CollectedFrame, ...]:
+    def settled(self) -> list[CollectedFrame]:
         """What is kept after the collector has written everything."""
         assert self.collector.close(PATIENCE_S)
-        return read_frame_list(self.path).frames
+        return frames_of(self.path)
 
 
 @pytest.fixture
@@ -176,7 +176,7 @@ def test_a_disk_that_fails_is_told_once(disk: Disk, caplog: pytest.LogCaptureFix
     with caplog.at_level(logging.WARNING):
         for seed in range(3):
             disk.collector.offer(candidate(seed))
-        assert disk.settled() == ()
+        assert disk.settled() == []
     assert disk.failures == []
     assert [record.getMessage() for record in caplog.records] == [
         "no images are collected: No space left?[31m on device"

@@ -102,13 +102,19 @@ def test_the_root_says_where_the_images_are(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        pytest.param({"bbox": [1, 2, 3]}, "a bbox of 4 numbers, found a list", id="too short"),
-        pytest.param({"bbox": ["1", 2, 3, 4]}, "a bbox of 4 numbers", id="text"),
-        pytest.param({"bbox": [1, 2, 0, 4]}, "a width and height above 0", id="no width"),
-        pytest.param({"bbox": [float("nan"), 2, 3, 4]}, "expected pixels", id="NaN"),
-        pytest.param({"bbox": [10**300, 2, 3, 4]}, "expected pixels", id="huge"),
+        pytest.param({"bbox": [1, 2, 3]}, "bbox.3: Field required, found a list", id="too short"),
+        pytest.param(
+            {"bbox": ["1", 2, 3, 4]}, "bbox.0: Input should be a valid number, found '1'", id="text"
+        ),
+        pytest.param(
+            {"bbox": [1, 2, 0, 4]}, "bbox.2: Input should be greater than 0, found 0", id="no width"
+        ),
+        pytest.param({"bbox": [float("nan"), 2, 3, 4]}, "bbox.0: Input should be", id="NaN"),
+        pytest.param({"bbox": [10**300, 2, 3, 4]}, "bbox.0: Input should be less than", id="huge"),
         pytest.param({"category_id": 1}, "the id of a category, found 1", id="unknown class"),
-        pytest.param({"category_id": [[]]}, "the id of a category, found a list", id="list"),
+        pytest.param(
+            {"category_id": [[]]}, "category_id: Input should be a valid integer, found a", id="list"
+        ),
     ],
 )
 def test_an_image_with_a_broken_annotation_is_set_aside(
@@ -127,7 +133,6 @@ def test_an_image_with_a_broken_annotation_is_set_aside(
     [
         pytest.param(None, id="null"),
         pytest.param(image(1), id="id twice"),
-        pytest.param(image(3, file_name="3.gif"), id="another format"),
         pytest.param(image(3, file_name="../3.jpg"), id="traversal"),
         pytest.param(image(3, file_name="a\0.jpg"), id="null character"),
         pytest.param(image(3, file_name="x" * 9000 + ".jpg"), id="long name"),
@@ -150,7 +155,7 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
         pytest.param({"images": [], "annotations": []}, "COCO's lists", id="no categories"),
         pytest.param({"images": {}, "annotations": [], "categories": []}, "COCO's lists", id="mapping"),
         pytest.param(coco([], []), r"no image that can be used\.$", id="no images"),
-        pytest.param(coco([image(1, file_name="1.gif")], []), "can be used. 1 unusable entries", id="a GIF"),
+        pytest.param(coco([{"id": 1}], []), "can be used. 1 unusable entries", id="no name"),
         pytest.param(
             coco([image(1, file_name=r"val\1.jpg")], []),
             r"'val.1.jpg' is a path of Windows; type sed -i 's\|\\\\\\\\\|/\|g' FILE\.$",
@@ -158,6 +163,8 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
         ),
         pytest.param(coco([image(1, file_name="../there/1.jpg")], []), r"lies outside of [^;]*$", id="above"),
         pytest.param(coco([image(1)], []), "no image has labels that can be used", id="no objects"),
+        pytest.param(coco([], [], [{"id": 1, "name": "x" * 201}]), "a class name of 201", id="long name"),
+        pytest.param(coco([], [], [{"id": 1, "name": []}]), "strings or numbers, found a list", id="list"),
     ],
 )
 def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason: str, tmp_path: Path) -> None:
@@ -166,14 +173,13 @@ def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason:
 
 
 def test_names_of_categories_are_those_that_a_model_has(tmp_path: Path) -> None:
-    names = [7, "a\u00a0b", "\x1b", "", None, "x" * 201, []]
+    names = [7, "a\u00a0b", "\x1b", "", None]
     categories = [{"id": 10 + index, "name": name} for index, name in enumerate(names)]
     records = [annotation(1, category_id=12)]
     found, problems = read(write(tmp_path, coco([image(1)], records, categories)))
-    assert found.class_names == ("7", "a b", r"\x1b")
+    assert found.class_names == ("7", "a b", r"\x1b", "class 3", "class 4")
     assert found.images[0].labels.boxes.class_ids.tolist() == [2]
-    assert len(problems) == 4
-    assert all(problem.startswith("unusable entries: categories: ") for problem in problems)
+    assert problems == []
 
 
 def test_a_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:

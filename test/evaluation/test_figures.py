@@ -435,7 +435,9 @@ def test_curves_are_pictures(names: Sequence[str], tmp_path: Path) -> None:
     files: dict[str, Any] = {name: tmp_path / name for name in ("pr.png", "f1.png", "confusion.png")}
     draw_pr_curve(files["pr.png"], matches)
     draw_f1_curve(files["f1.png"], matches, 0.25)
-    draw_confusion_matrix(files["confusion.png"], counts, confused)
+    draw_confusion_matrix(
+        files["confusion.png"], (*confused, "no object"), (*confused, "nothing"), counts.tolist()
+    )
     for file in files.values():
         picture = cv2.imread(str(file))
         assert min(picture.shape[:2]) > 400

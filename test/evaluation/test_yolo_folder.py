@@ -13,8 +13,13 @@ from hypothesis import strategies as st
 
 from yolov5_lifecycle.evaluation import yolo_folder
 from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, DataError, LabelledFolder, Problems
-from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES, MAX_LINES, label_text, parsed_labels
+from yolov5_lifecycle.evaluation.yolo_folder import (
+    MAX_LABEL_BYTES,
+    MAX_LINES,
+    label_text,
+    parsed_labels,
+    read_yolo_folder,
+)
 
 BOX = "0 0.5 0.5 0.2 0.2\n"
 NAMES = "names: [cat, dog]\n"
@@ -300,7 +305,7 @@ def test_a_label_file_of_too_many_lines_is_broken(text: str) -> None:
 
 def test_a_label_file_that_is_too_large_is_broken(tmp_path: Path) -> None:
     path = tmp_path / "1.txt"
-    path.write_text(" " * (MAX_BYTES + 1))
+    path.write_text(" " * (MAX_LABEL_BYTES + 1))
     with pytest.raises(DataError, match="more than 4194304 bytes"):
         label_text(path)
 
@@ -355,7 +360,7 @@ def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> Non
 
 def test_the_number_of_objects_is_limited() -> None:
     lines = (f"0 0.5 0.5 0.2 {0.1 + number / 1e6}" for number in range(MAX_BOXES_PER_IMAGE + 1))
-    with pytest.raises(DataError, match="more than 10000 objects"):
+    with pytest.raises(DataError, match="found 10001 objects in an image, more than 10000"):
         parsed_labels("\n".join(lines), 1)
 
 

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.candidates import CLASS_NAMES, add, candidate, found, keep
+from support.candidates import CLASS_NAMES, add, candidate, found, frames_of, images_of, keep
 
-from yolov5_lifecycle.collecting.collected_files import FRAMES, FrameLine, append_line, read_frame_list
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
+from yolov5_lifecycle.collecting.collected_files import FRAMES, LABELS, CollectedFrame, file_of
+from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.collecting.triggers import Detail, Trigger
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
@@ -34,15 +34,21 @@ QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
 
 def collected(folder: Path, *counts: int, names: tuple[str, ...] = CLASS_NAMES) -> Path:
     """A folder with sessions of so many images of a cat."""
-    for session, count in enumerate(counts):
-        with closing(CollectedFolder(folder, QUOTA)) as into:
+    for place, count in enumerate(counts):
+        session = RecordingSession()
+        session.name = f"{place}-{session.name}"
+        with closing(CollectedFolder(folder, QUOTA, session=session)) as into:
             for number in range(count):
-                keep(into, 100 * session + number, names=names)
+                keep(into, 100 * place + number, names=names)
     return folder
 
 
 def sessions(folder: Path) -> list[str]:
-    return list(dict.fromkeys(line.session for line in read_frame_list(folder).lines))
+    return list(dict.fromkeys(kept.session for kept in images_of(folder)))
+
+
+def write_record(folder: Path, frame: CollectedFrame) -> None:
+    (folder / file_of(frame.image, FRAMES)).write_text(frame.model_dump_json())
 
 
 def run(*words: object) -> int:
@@ -126,7 +132,7 @@ def test_the_sheet_has_the_most_valuable_images_and_replaces_nothing(
 
 def test_an_image_that_cannot_be_read_is_told_in_its_place(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 2)
-    (folder / read_frame_list(folder).frames[0].image).write_bytes(b"no image")
+    (folder / frames_of(folder)[0].image).write_bytes(b"no image")
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
     page = (tmp_path / "sheet.html").read_text()
     assert page.count("<img") == 1
@@ -135,10 +141,10 @@ def test_an_image_that_cannot_be_read_is_told_in_its_place(tmp_path: Path) -> No
 
 def test_a_box_from_elsewhere_does_not_end_the_sheet(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 1)
-    (frame,) = read_frame_list(folder).frames
+    (frame,) = frames_of(folder)
     strange = frame.objects[0].model_copy(update={"box_xyxy": (1e308, -1e308, -5.0, 7.0)})
     changed = frame.model_copy(update={"objects": (strange, *frame.objects)})
-    append_line(folder, FrameLine.of(changed))
+    write_record(folder, changed)
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
 
 
@@ -185,9 +191,9 @@ def test_folders_of_several_robots_become_one_with_classes_by_name(tmp_path: Pat
     data = read_yolo_folder(tmp_path / "all", Problems(told.append))
     assert (data.class_names, told) == (("cat", "dog", "bird"), [])
     assert sorted(image.labels.boxes.class_ids.tolist() for image in data.images) == [[0], [1, 0], [2]]
-    assert len(read_frame_list(tmp_path / "all").frames) == 3
+    assert len(frames_of(tmp_path / "all")) == 3
     with closing(CollectedFolder(tmp_path / "all", QUOTA)) as merged:
-        assert len(merged.lines) == 3
+        assert len(merged) == 3
 
 
 def test_an_image_of_several_folders_is_merged_once_with_the_labels_of_the_first(
@@ -200,7 +206,7 @@ def test_an_image_of_several_folders_is_merged_once_with_the_labels_of_the_first
     labels.write_text("1 0.5 0.5 0.5 0.5\n")
     assert run("merge", corrected, robot, "--output", tmp_path / "all") == 0
     assert "2 images; 2 that a folder before had" in capsys.readouterr().out
-    assert len(read_frame_list(tmp_path / "all").frames) == 2
+    assert len(frames_of(tmp_path / "all")) == 2
     assert (tmp_path / "all" / labels.relative_to(corrected)).read_text() == labels.read_text()
 
 
@@ -222,13 +228,13 @@ def test_a_line_of_labels_stays_one_line(tmp_path: Path, line: str) -> None:
     assert merged.read_text() == "0 0.5 0.5 0.2 0.2\n"
 
 
-@pytest.mark.parametrize("linked", ["{image}", "{labels}", FRAMES])
+@pytest.mark.parametrize("linked", ["{image}", "{labels}", "{record}", FRAMES])
 def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
     tmp_path: Path, linked: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot, new = collected(tmp_path / "robot", 1, 1), tmp_path / "new"
-    line = read_frame_list(robot).lines[0]
-    inner = robot / linked.format(image=line.image, labels=line.labels)
+    image = images_of(robot)[0].path
+    inner = robot / linked.format(image=image, labels=file_of(image, LABELS), record=file_of(image, FRAMES))
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
     before = sorted(tmp_path.rglob("*"))
@@ -267,9 +273,9 @@ def test_a_folder_whose_name_is_no_text_has_a_sheet(tmp_path: Path) -> None:
 @pytest.mark.long
 def test_thirty_thousand_names_cost_no_more_than_their_number(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 1)
-    (frame,) = read_frame_list(folder).frames
+    (frame,) = frames_of(folder)
     objects = [frame.objects[0].model_copy(update={"class_name": f"{number:05}"}) for number in range(30_000)]
-    append_line(folder, FrameLine.of(frame.model_copy(update={"objects": tuple(objects)})))
+    write_record(folder, frame.model_copy(update={"objects": tuple(objects)}))
     begin_s = time.process_time()
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
     assert time.process_time() - begin_s < 2
@@ -288,9 +294,9 @@ def test_images_of_a_session_or_of_a_reason_are_removed(tmp_path: Path) -> None:
         add(into, candidate(9, reasons={Trigger.CLASS: Detail(""), Trigger.NOVEL: Detail("")}))
     first, *_ = sessions(folder)
     assert run("remove", folder, "--session", first) == 0
-    assert len(read_frame_list(folder).frames) == 4
+    assert len(frames_of(folder)) == 4
     assert run("remove", folder, "--reason", "class") == 0
-    (left,) = read_frame_list(folder).frames
+    (left,) = frames_of(folder)
     assert {*left.reasons} == {"class", "novel"}
     assert len(list(folder.rglob("*.jpg"))) == len(list(folder.rglob("*.txt"))) == 1
 
@@ -302,7 +308,7 @@ def test_nothing_is_removed_while_a_detector_collects(
     with closing(CollectedFolder(folder, QUOTA)):
         assert run("remove", folder, "--reason", "class") == 1
     assert "another process" in capsys.readouterr().err
-    assert len(read_frame_list(folder).frames) == 2
+    assert len(frames_of(folder)) == 2
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from yolov5_lifecycle.collecting.candidate import Candidate, Origin
 from yolov5_lifecycle.collecting.collected_files import (
     CollectedFrame,
     CollectedObject,
+    KeptImage,
     embedding_text,
+    kept_images,
     shades_text,
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
@@ -107,3 +110,13 @@ def add(folder: CollectedFolder, frame: Candidate, *, value: float | None = None
     record = frame.record(folder.session.new_path(""), frame.reasons)
     record = record if value is None else record.model_copy(update={"value": value})
     return folder.add(record, frame.jpeg(), frame.labels(folder.ids_of(frame.rules.class_names)))
+
+
+def frames_of(folder: Path) -> list[CollectedFrame]:
+    """The records in `folder`, in the order in which they were kept."""
+    return [frame for _, frame in kept_images(folder)]
+
+
+def images_of(folder: Path) -> list[KeptImage]:
+    """What is kept in `folder`, in that order."""
+    return [kept for kept, _ in kept_images(folder)]

@@ -1,17 +1,17 @@
 """Files in a folder of collected images, which may be another robot's: regular files in folders, no links.
 
-The images, their labels, `data.yaml`, and `frames.jsonl`: a line for each image.
+`data.yaml`, and of each image the image itself, its labels and its record: `images/SESSION/NAME.jpg`,
+`labels/SESSION/NAME.txt` and `frames/SESSION/NAME.json`.
 """
 
 from __future__ import annotations
 
 import base64
-import os
 import re
 import stat
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -20,21 +20,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.collecting.descriptors import SHADES, Embedding, Shades, unit
 from yolov5_lifecycle.evaluation.ground_truth import MAX_IMAGES, DataError
-from yolov5_lifecycle.evaluation.yolo_folder import read_description
-from yolov5_lifecycle.evaluation.yolo_labels import MAX_BYTES as MAX_LABEL_BYTES
+from yolov5_lifecycle.evaluation.yolo_folder import MAX_LABEL_BYTES, read_description
+from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES
-from yolov5_lifecycle.unfinished import open_itself
 
-DATA, FRAMES = "data.yaml", "frames.jsonl"
-IMAGES, LABELS = "images", "labels"
-MAX_LIST_BYTES = 512 << 20
-"""Of the list, which is held in memory; 100,000 usual lines."""
+DATA = "data.yaml"
+IMAGES, LABELS, FRAMES = "images", "labels", "frames"
+SUFFIXES = {IMAGES: ".jpg", LABELS: ".txt", FRAMES: ".json"}
 MAX_IMAGE_BYTES = 256 << 20
-_KINDS = {"l": "a link", "d": "a folder", "-": "a file"}
 MAX_RECORD_BYTES = 32 << 20
-"""Of a line; one of 30,000 objects with the longest names has 30 MB, one of 1,000 usual ones 150 kB."""
+"""One of 30,000 objects with the longest names has 30 MB, one of 1,000 usual ones 150 kB."""
+_MAX_BYTES = {IMAGES: MAX_IMAGE_BYTES, LABELS: MAX_LABEL_BYTES, FRAMES: MAX_RECORD_BYTES}
 _MAX_VALUES = 300_000
-"""Of a line, and lists and objects in it: one of 30,000 objects has 240,000. Each takes up to 300 bytes."""
+"""Of a record, and lists and objects in it: one of 30,000 objects has 240,000. Each takes up to 300 bytes."""
 MAX_EMBEDDING = 8192
 _IMAGE = re.compile(r"images/[0-9A-Za-z-]{1,64}/[0-9]{6,9}(_[0-9A-Za-z_]{1,64})?\.jpg")
 
@@ -58,7 +56,7 @@ class CollectedObject(_Strict):
 
 
 class CollectedFrame(_Strict):
-    """A kept image: where it comes from, why it was kept, and what a model saw in it."""
+    """The record of a kept image: where it comes from, why it was kept, and what a model saw in it."""
 
     image: str = Field(max_length=200, pattern=f"^{_IMAGE.pattern}$")
     """Path below the folder."""
@@ -81,13 +79,11 @@ class CollectedFrame(_Strict):
     """Base64."""
 
     @classmethod
-    def of_line(cls, line: bytes) -> CollectedFrame:
-        """The record in `line`. Raises ValueError."""
-        if len(line) > MAX_RECORD_BYTES or not line.endswith(b"\n"):
-            raise ValueError(f"expected a whole line of at most {MAX_RECORD_BYTES} bytes, found {len(line)}")
-        if max(line.count(b","), line.count(b"[") + line.count(b"{")) > _MAX_VALUES:
+    def of_json(cls, text: bytes) -> CollectedFrame:
+        """The record in `text`. Raises ValueError."""
+        if max(text.count(b","), text.count(b"[") + text.count(b"{")) > _MAX_VALUES:
             raise ValueError(f"expected at most {_MAX_VALUES} values, lists and objects, found more")
-        frame = cls.model_validate_json(line)
+        frame = cls.model_validate_json(text)
         frame.descriptor()
         return frame
 
@@ -100,33 +96,28 @@ class CollectedFrame(_Strict):
         return embedding, shades
 
 
-@dataclass(frozen=True)
-class FrameLine:
-    """A line that is a record, and what many lines are chosen by: the record takes ten times the memory."""
+class KeptImage(NamedTuple):
+    """What many images are chosen by: their records take ten times the memory."""
 
-    text: bytes
-    image: str
+    path: str
+    """Below the folder."""
     value: float
-    size: int = 0
-    """Bytes of the image, its labels and the line; 0 if unknown, or without an image."""
-
-    @classmethod
-    def of(cls, frame: CollectedFrame) -> FrameLine:
-        return cls(frame.model_dump_json().encode() + b"\n", frame.image, frame.value)
-
-    @property
-    def frame(self) -> CollectedFrame:
-        return CollectedFrame.of_line(self.text)
+    size: int
+    """Bytes of the image, its labels and its record."""
 
     @property
     def session(self) -> str:
-        """The name of the subfolder: of the recording session of one process."""
-        return self.image.split("/")[1]
+        return session_of(self.path)
 
-    @property
-    def labels(self) -> str:
-        """Path of the labels below the folder."""
-        return "labels" + self.image.removeprefix("images").removesuffix(".jpg") + ".txt"
+
+def session_of(image: str) -> str:
+    """The name of the subfolder of the path `image`: of the recording session of one process."""
+    return image.split("/")[1]
+
+
+def file_of(image: str, kind: str) -> str:
+    """Path below the folder of what belongs to the path `image`: `kind` is IMAGES, LABELS or FRAMES."""
+    return kind + image.removeprefix(IMAGES).removesuffix(SUFFIXES[IMAGES]) + SUFFIXES[kind]
 
 
 def embedding_text(embedding: Embedding) -> str:
@@ -139,107 +130,75 @@ def shades_text(shades: Shades) -> str:
     return base64.b64encode(shades.tobytes()).decode()
 
 
-def own_bytes(folder: Path, path: str, max_bytes: int | None = None) -> int | None:
-    """How many bytes the regular file at `path`, names with / between them, below `folder` has; None if it is
-    not there. Without `max_bytes`: those of the folder at `path`.
+def recorded_images(folder: Path) -> list[str]:
+    """The paths of the images in `folder` that have a record, in the order in which they were kept.
 
-    Raises CollectingError if it has more or, like a folder that leads to it, is something else: a link leads
-    elsewhere. `folder` itself may be a link. Raises OSError.
+    A killed process may have left a record without an image. Raises CollectingError if there are more than
+    MAX_IMAGES, or a folder that leads to them is a link, and OSError.
     """
-    parent = path.rpartition("/")[0]
-    if parent and own_bytes(folder, parent) is None:
-        return None
+    for kind in SUFFIXES:
+        _check_no_link(folder / kind)
+    records = (record.relative_to(folder / FRAMES) for record in FolderTree().files(folder / FRAMES))
+    suffix = SUFFIXES[FRAMES]
+    found = (f"{IMAGES}/{record.with_suffix('.jpg')}" for record in records if record.suffix == suffix)
+    images = sorted(filter(_IMAGE.fullmatch, found))
+    if len(images) > MAX_IMAGES:
+        raise CollectingError(
+            f"{folder / FRAMES}: expected at most {MAX_IMAGES:,} records, found more; use another folder"
+        )
+    for session in set(map(session_of, images)):
+        for kind in SUFFIXES:
+            _check_no_link(folder / kind / session)
+    return images
+
+
+def kept_images(folder: Path) -> Iterator[tuple[KeptImage, CollectedFrame]]:
+    """Each image in `folder` with its record, in the order in which they were kept.
+
+    What is no record, and one without an image, are left out. Raises CollectingError if the image, its labels
+    or its record are too large or no regular files, and OSError.
+    """
+    for image in recorded_images(folder):
+        sizes = {kind: _own_bytes(folder / file_of(image, kind), most) for kind, most in _MAX_BYTES.items()}
+        if sizes[IMAGES] is None or sizes[FRAMES] is None:
+            continue
+        try:
+            frame = read_record(folder, image)
+        except (ValueError, FileNotFoundError):  # a detector may just have removed it
+            continue
+        yield KeptImage(image, frame.value, sum(filter(None, sizes.values()))), frame
+
+
+def read_record(folder: Path, image: str) -> CollectedFrame:
+    """The record of an image of `kept_images`. Raises ValueError and OSError."""
+    frame = CollectedFrame.of_json((folder / file_of(image, FRAMES)).read_bytes())
+    if frame.image != image:
+        raise ValueError(f"expected the record of {image}, found that of {frame.image}")
+    return frame
+
+
+def _check_no_link(path: Path) -> None:
+    if path.is_symlink():
+        remedy = "replace it by a copy of what should be there"
+        raise CollectingError(f"{path}: expected a file or folder, found a link; {remedy}")
+
+
+def _own_bytes(path: Path, max_bytes: int) -> int | None:
+    """How many bytes the regular file at `path` has; None if it is not there.
+
+    Raises CollectingError if it has more than `max_bytes`, or is a link or no regular file, and OSError.
+    """
+    _check_no_link(path)
     try:
-        status = os.lstat(folder / path)
+        status = path.lstat()
     except (FileNotFoundError, NotADirectoryError):
         return None
-    is_right, expected = (stat.S_ISDIR, "a folder") if max_bytes is None else (stat.S_ISREG, "a regular file")
-    found = _KINDS.get(stat.filemode(status.st_mode)[0], "a pipe or device")
-    if not is_right(status.st_mode):
-        remedy = "replace it by a copy of what should be there"
-        raise CollectingError(f"{folder / path}: expected {expected}, found {found}; {remedy}")
-    if max_bytes is not None and status.st_size > max_bytes:
-        remedy = "remove the file, or use another folder"
-        raise CollectingError(
-            f"{folder / path}: expected at most {max_bytes:,} bytes, found {status.st_size:,}; {remedy}"
-        )
-    return status.st_size
-
-
-@dataclass(frozen=True)
-class FrameList:
-    """The records in `frames.jsonl`, in the order in which the images were kept."""
-
-    lines: tuple[FrameLine, ...]
-    """Those whose images are there."""
-    without_image: tuple[FrameLine, ...]
-    broken: int
-    """Lines that are no record: a killed process leaves at most one."""
-
-    @property
-    def frames(self) -> tuple[CollectedFrame, ...]:
-        """The records in `lines`."""
-        return tuple(line.frame for line in self.lines)
-
-
-def read_frame_list(folder: Path) -> FrameList:
-    """The list in `folder`, empty if there is none; of several lines for one image the last counts.
-
-    Raises CollectingError if the list, an image or labels are too large or no regular files, and OSError.
-    """
-    listed: dict[str, FrameLine] = {}
-    broken = 0
-    for text in _lines(folder):
-        try:
-            frame = CollectedFrame.of_line(text)
-        except ValueError:
-            broken += 1
-            continue
-        line = FrameLine(text, frame.image, frame.value)
-        listed.pop(line.image, None)
-        listed[line.image] = replace(line, size=_size(folder, line))
-    present = tuple(line for line in listed.values() if line.size)
-    return FrameList(present, tuple(line for line in listed.values() if not line.size), broken)
-
-
-def _size(folder: Path, line: FrameLine) -> int:
-    labels_bytes = own_bytes(folder, line.labels, MAX_LABEL_BYTES) or 0
-    image_bytes = own_bytes(folder, line.image, MAX_IMAGE_BYTES)
-    return 0 if image_bytes is None else image_bytes + labels_bytes + len(line.text)
-
-
-def _lines(folder: Path) -> Iterator[bytes]:
-    if own_bytes(folder, FRAMES, MAX_LIST_BYTES) is None:
-        return
-    with open(folder / FRAMES, "rb", opener=open_itself) as file:
-        for number, line in enumerate(file, start=1):
-            if number > MAX_IMAGES:
-                raise CollectingError(
-                    f"{folder / FRAMES}: expected at most {MAX_IMAGES:,} lines, found more; "
-                    "use another folder"
-                )
-            yield line
-
-
-def write_frame_list(folder: Path, lines: Iterable[FrameLine]) -> None:
-    """Replace the list in `folder`. Raises OSError."""
-    atomic_write(folder / FRAMES, *(line.text for line in lines))
-
-
-def append_line(folder: Path, line: FrameLine) -> None:
-    """Add a line to the list in `folder`: the whole line or, if that fails with OSError, nothing."""
-    descriptor = open_itself(folder / FRAMES, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
-    try:
-        size = os.fstat(descriptor).st_size
-        try:
-            if (written := os.write(descriptor, line.text)) < len(line.text):
-                raise OSError(f"{folder / FRAMES}: {written} of {len(line.text)} bytes written")
-            os.fsync(descriptor)
-        except OSError:
-            os.truncate(descriptor, size)
-            raise
-    finally:
-        os.close(descriptor)
+    is_regular = stat.S_ISREG(status.st_mode)
+    if is_regular and status.st_size <= max_bytes:
+        return status.st_size
+    expected = f"at most {max_bytes:,} bytes" if is_regular else "a regular file"
+    found = f"{status.st_size:,}" if is_regular else "a folder, pipe or device"
+    raise CollectingError(f"{path}: expected {expected}, found {found}; remove it, or use another folder")
 
 
 def read_class_names(folder: Path, *, is_used: bool) -> tuple[str, ...]:
@@ -248,7 +207,7 @@ def read_class_names(folder: Path, *, is_used: bool) -> tuple[str, ...]:
     Raises CollectingError if they are broken or too large or, if images use them, missing, and OSError.
     """
     names: tuple[str, ...] = ()
-    if own_bytes(folder, DATA, MAX_FILE_BYTES) is not None:
+    if _own_bytes(folder / DATA, MAX_FILE_BYTES) is not None:
         try:
             names = read_description(folder / DATA).class_names or ()
         except DataError as error:

@@ -10,39 +10,33 @@ import shutil
 import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, atomic_write
+from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_together
 from yolov5_lifecycle.collecting.collected_files import (
     DATA,
+    FRAMES,
     IMAGES,
     LABELS,
-    MAX_LIST_BYTES,
+    SUFFIXES,
     CollectedFrame,
     CollectingError,
-    FrameLine,
-    append_line,
-    own_bytes,
+    KeptImage,
+    file_of,
+    kept_images,
     read_class_names,
-    read_frame_list,
+    recorded_images,
     with_names,
     write_description,
-    write_frame_list,
 )
 from yolov5_lifecycle.collecting.descriptors import KeptDescriptors
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
+from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
 MAX_FRAMES = 20_000
-"""By default; each takes about 10 kB of memory."""
-_MAX_REMOVED_SHARE = 0.05
-"""Share of the quota that lines without an image may take before the list is written again."""
-_MAX_LINES_BYTES = int(0.8 * MAX_LIST_BYTES)
-"""Of lines with an image: the list, with others, stays one that can be read."""
+"""By default; each takes about 2 kB of memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,15 +91,12 @@ class CollectedFolder:
         if not path.exists():
             path.mkdir()
         self._quota = quota
-        self._limits = np.array([quota.max_frames, quota.max_bytes, _MAX_LINES_BYTES])
-        self._used = np.zeros(3, np.int64)
-        """See `_costs`."""
-        self._removed_bytes = 0
-        """Of lines in the list whose images are not there."""
+        self.size_bytes = 0
+        """Of images, labels and records."""
         self.class_names: tuple[str, ...] = ()
         self.descriptors = KeptDescriptors()
-        self._lines: dict[str, FrameLine] = {}
-        """By path of the image, in the order in which they were kept."""
+        self._images: dict[str, KeptImage] = {}
+        """By path, in the order in which they were kept."""
         self._descriptor = open_itself(path, os.O_RDONLY | os.O_DIRECTORY)
         try:
             if not hold(self._descriptor, path):
@@ -118,19 +109,12 @@ class CollectedFolder:
             os.close(self._descriptor)
             raise
 
-    @property
-    def lines(self) -> tuple[FrameLine, ...]:
-        """Of the kept frames, in the order in which they were kept."""
-        return tuple(self._lines.values())
+    def __len__(self) -> int:
+        return len(self._images)
 
-    def lines_of(self, images: Iterable[str]) -> list[FrameLine]:
-        """Those of `images` that are there."""
-        return [self._lines[image] for image in images if image in self._lines]
-
-    @property
-    def size_bytes(self) -> int:
-        """Of images, labels and lines of the list."""
-        return int(self._used[1]) + self._removed_bytes
+    def kept(self, paths: Iterable[str]) -> list[KeptImage]:
+        """The images at these paths that are there."""
+        return [self._images[path] for path in paths if path in self._images]
 
     def ids_of(self, class_names: Sequence[str]) -> list[int]:
         """The class ids in this folder of a model's `class_names`; adds those that are new to `data.yaml`.
@@ -152,43 +136,36 @@ class CollectedFolder:
     def add(self, frame: CollectedFrame, jpeg: bytes, labels: str) -> bool:
         """Keep a frame, and remove less valuable ones if the quota needs it; False if all are more valuable.
 
-        The frame is there once its image is, which is written last: an image without labels would count as
-        one without objects, and what has no image is removed when the folder is read again.
+        The frame is there once its image is, which comes last: an image without labels would count as one
+        without objects, and what has no image is removed when the folder is read again.
 
         Raises CollectingError if the disk has too little space or is another one, and OSError.
         """
         self._check_disk(len(jpeg))
-        line = FrameLine.of(frame)
-        line = replace(line, size=len(jpeg) + len(labels) + len(line.text))
-        if not self._make_room(line.value, line):
+        files = {FRAMES: frame.model_dump_json().encode(), LABELS: labels.encode(), IMAGES: jpeg}
+        size = sum(map(len, files.values()))
+        if not self._make_room(frame.value, count=1, size=size):
             return False
-        for kind in (IMAGES, LABELS):
-            if own_bytes(self._path, f"{kind}/{line.session}") is None:
-                (self._path / kind / line.session).mkdir(parents=True)
+        contents = {self._path / file_of(frame.image, kind): content for kind, content in files.items()}
+        for path in contents:
+            path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            append_line(self._path, line)
-            atomic_write(self._path / line.labels, labels.encode())
-            atomic_write(self._path / line.image, jpeg)
+            write_together(contents)
         except OSError:
-            self._unlink(line)
+            self._unlink(frame.image)
             raise
-        self._remember(line, frame)
+        self._remember(KeptImage(frame.image, frame.value, size), frame)
         return True
 
-    def remove(self, line: FrameLine) -> None:
-        """Remove a kept frame. Raises KeyError if it is not there."""
-        del self._lines[line.image]
-        self._used -= _costs(line)
-        self.descriptors.remove(line.image)
-        self._unlink(line)
+    def remove(self, image: str) -> None:
+        """Remove the image at this path. Raises KeyError if it is not there."""
+        self.size_bytes -= self._images.pop(image).size
+        self.descriptors.remove(image)
+        self._unlink(image)
 
     def close(self) -> None:
         """Let other processes have the folder. Idempotent."""
         if self._descriptor >= 0:
-            with suppress(CollectingError, OSError):
-                self._check_place()
-                if self._removed_bytes:
-                    self._rewrite()
             os.close(self._descriptor)
             self._descriptor = -1
 
@@ -209,71 +186,50 @@ class CollectedFolder:
                 f"{least / 1e6:.0f}; remove something, or lower collect_max_mb"
             )
 
-    def _make_room(self, value: float, *new: FrameLine) -> bool:
-        """Remove the least valuable frames, the oldest first, until those that are `new` fit.
+    def _make_room(self, value: float, *, count: int = 0, size: int = 0) -> bool:
+        """Remove the least valuable images, the oldest first, until `count` more of `size` bytes fit.
 
         Returns False, and removes nothing, if one that is worth more than `value` would have to go.
         """
-        excess = self._used + sum(map(_costs, new)) - self._limits
-        excess[1] += self._removed_bytes
-        leaving: list[FrameLine] = []
-        remaining = iter(sorted(self._lines.values(), key=lambda kept: kept.value))
-        while (excess > 0).any():
-            line = next(remaining, None)
-            if line is None or line.value > value:
+        excess = len(self) + count - self._quota.max_frames
+        excess_bytes = self.size_bytes + size - self._quota.max_bytes
+        leaving: list[KeptImage] = []
+        remaining = iter(sorted(self._images.values(), key=lambda kept: kept.value))
+        while excess > 0 or excess_bytes > 0:
+            kept = next(remaining, None)
+            if kept is None or kept.value > value:
                 return False
-            leaving.append(line)
-            excess -= _costs(line)
-            excess[1] += len(line.text)  # stays in the list
-        for line in leaving:
-            self.remove(line)
-        if self._removed_bytes > _MAX_REMOVED_SHARE * min(self._quota.max_bytes, MAX_LIST_BYTES):
-            self._rewrite()
+            leaving.append(kept)
+            excess -= 1
+            excess_bytes -= kept.size
+        for kept in leaving:
+            self.remove(kept.path)
         return True
 
-    def _unlink(self, line: FrameLine) -> None:
-        """Remove the image, then its labels; a disk that fails keeps them, and they are removed later.
-
-        Its line stays until the list is written again.
-        """
-        self._removed_bytes += len(line.text)
-        for path in (line.image, line.labels):
+    def _unlink(self, image: str) -> None:
+        """Remove the image, then what belongs to it; a disk that fails keeps them."""
+        for kind in SUFFIXES:
             with suppress(OSError):
-                (self._path / path).unlink(missing_ok=True)
+                (self._path / file_of(image, kind)).unlink(missing_ok=True)
 
-    def _rewrite(self) -> None:
-        """Leave removed frames out of the list."""
-        write_frame_list(self._path, self._lines.values())
-        self._removed_bytes = 0
-
-    def _remember(self, line: FrameLine, frame: CollectedFrame) -> None:
-        self._lines[line.image] = line
-        self._used += _costs(line)
-        self.descriptors.add(line.image, *frame.descriptor())
+    def _remember(self, kept: KeptImage, frame: CollectedFrame) -> None:
+        self._images[kept.path] = kept
+        self.size_bytes += kept.size
+        self.descriptors.add(kept.path, *frame.descriptor())
 
     def _read(self) -> None:
         """Remember what is there, remove what a killed process did not finish and what exceeds the quota."""
-        listed = read_frame_list(self._path)
-        self.class_names = read_class_names(self._path, is_used=bool(listed.lines))
-        for line in listed.lines:
-            self._remember(line, line.frame)
-        for line in listed.without_image:
-            self._unlink(line)
-        if listed.broken or listed.without_image:
-            self._rewrite()
+        for kept, frame in kept_images(self._path):
+            self._remember(kept, frame)
+        self.class_names = read_class_names(self._path, is_used=bool(self._images))
+        for image in recorded_images(self._path):
+            if not (self._path / image).exists():
+                self._unlink(image)
         self._make_room(math.inf)
-        if self._removed_bytes:
-            self._rewrite()
-        sessions = {line.session for line in (*listed.lines, *listed.without_image)}
-        parts = [f"{kind}/{session}" for kind in (IMAGES, LABELS) for session in sessions]
-        for folder in (self._path, *(self._path / part for part in parts)):
+        files = FolderTree().files(self._path)
+        for folder in {file.parent for file in files if file.suffix == UNFINISHED_SUFFIX}:
             with suppress(OSError):
                 remove_abandoned(folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
-
-
-def _costs(line: FrameLine) -> NDArray[np.int64]:
-    """What a frame takes of the limits: frames, bytes, bytes of the list."""
-    return np.array([1, line.size, len(line.text)])
 
 
 def _missing(path: Path) -> CollectingError:

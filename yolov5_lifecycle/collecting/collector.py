@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from yolov5_lifecycle.collecting.candidate import Candidate
-from yolov5_lifecycle.collecting.collected_files import CollectingError, FrameLine
+from yolov5_lifecycle.collecting.collected_files import CollectingError, KeptImage
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.triggers import PACE_MIN, Detail, Trigger
 from yolov5_lifecycle.images.image import ImageError
@@ -139,14 +139,14 @@ class Collector:
         record = candidate.record(folder.session.new_path(rules.camera), reasons)
         rival = None if candidate.is_requested else _rival(candidate, folder, now_s)
         if (rival is None or rival.value < record.value) and folder.add(record, candidate.jpeg(), labels):
-            if rival is not None and folder.lines_of([rival.image]):  # a full folder may have removed it
-                folder.remove(rival)
+            if rival is not None and folder.kept([rival.path]):  # a full folder may have removed it
+                folder.remove(rival.path)
             candidate.pace.keep(record.image, now_s)
             self._count("kept")
         else:
             self._count("outranked")
         self._failed_s = None
-        self._note(frames=len(folder.lines), megabytes=folder.size_bytes / 1e6, problem="")
+        self._note(frames=len(folder), megabytes=folder.size_bytes / 1e6, problem="")
 
     def _opened(self) -> CollectedFolder:
         if self._folder is None:
@@ -176,13 +176,13 @@ class Collector:
             self.status = replace(self.status, **values)
 
 
-def _rival(candidate: Candidate, folder: CollectedFolder, now_s: float) -> FrameLine | None:
-    """The least valuable frame of the last minutes, if one has to go when `candidate` is kept."""
+def _rival(candidate: Candidate, folder: CollectedFolder, now_s: float) -> KeptImage | None:
+    """The least valuable image of the last minutes, if one has to go when `candidate` is kept."""
     per_minute = candidate.rules.settings.collect_per_minute
     if not (count := math.ceil(per_minute * PACE_MIN)):
         return None
-    recent = folder.lines_of(candidate.pace.since(now_s - 60 * count / per_minute))
-    return min(recent, key=lambda line: line.value) if len(recent) >= count else None
+    recent = folder.kept(candidate.pace.since(now_s - 60 * count / per_minute))
+    return min(recent, key=lambda kept: kept.value) if len(recent) >= count else None
 
 
 def _novelty(distance: float) -> Detail:

@@ -28,7 +28,7 @@ PACE_MIN = 5
 
 
 class Trigger(Enum):
-    """The value is what users read in `frames.jsonl` and, but for the first, write in `collect_reasons`."""
+    """The value is what users read in records and, but for the first, write in `collect_reasons`."""
 
     REQUESTED = "requested"
     """Somebody asked for it."""

@@ -51,19 +51,27 @@ def draw_f1_curve(path: Path, matches: Matches, threshold: float) -> None:
         _finish(axes)
 
 
-def draw_confusion_matrix(path: Path, counts: NDArray[np.int64], class_names: Sequence[str]) -> None:
-    """Draw the matrix of `confusion_matrix`: rows in shares of their sums, with numbers if there is room."""
-    names = [_plain(in_one_line(name, _MAX_NAME)) for name in class_names]
-    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+def draw_confusion_matrix(
+    path: Path, objects: Sequence[str], detected_as: Sequence[str], counts: Sequence[Sequence[int]]
+) -> None:
+    """Draw the matrix with the labels of its rows and columns. Raises OSError.
+
+    Rows are in shares of their sums, with numbers and names if there is room.
+    """
+    numbers = np.array(counts, np.int64)
+    shares = numbers / np.maximum(numbers.sum(axis=1, keepdims=True), 1)
     with _axes(path, "Confusion at the set thresholds, IoU 0.5", "detected as", "object") as axes:
         axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
-        if len(names) > MAX_NUMBERED:
+        if len(objects) > MAX_NUMBERED + 1:
             return
-        for (row, column), count in np.ndenumerate(counts):
+        for (row, column), count in np.ndenumerate(numbers):
             colour = "white" if shares[row, column] > 0.5 else "black"
             axes.text(column, row, str(count), ha="center", va="center", color=colour, fontsize=8)
-        axes.set_xticks(range(len(counts)), [*names, "nothing"], rotation=30, ha="right")
-        axes.set_yticks(range(len(counts)), [*names, "no object"])
+        rows, columns = (
+            [_plain(in_one_line(name, _MAX_NAME)) for name in each] for each in (objects, detected_as)
+        )
+        axes.set_xticks(range(len(columns)), columns, rotation=30, ha="right")
+        axes.set_yticks(range(len(rows)), rows)
 
 
 def _f1(scores: NDArray[np.float64], counts: Counts) -> NDArray[np.float64]:

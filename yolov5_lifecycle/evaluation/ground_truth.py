@@ -8,11 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_BOXES_PER_IMAGE = 10_000
@@ -51,6 +52,20 @@ def check_count(
     """Raise DataError if there are more than `limit` of `what`; `where` and `remedy` are for the message."""
     if count > limit:
         raise DataError(f"{where}: expected at most {limit:,} {what}, found {count:,} or more: {remedy}.")
+
+
+def check_box_count(count: int) -> None:
+    """Raise DataError if an image has more than MAX_BOXES_PER_IMAGE objects."""
+    if count > MAX_BOXES_PER_IMAGE:
+        raise DataError(f"found {count} objects in an image, more than {MAX_BOXES_PER_IMAGE}")
+
+
+def read_data_file(path: Path, max_bytes: int) -> bytes:
+    """The content of a text file of a data set, see `read_text_file`; raises DataError, which names it."""
+    try:
+        return read_text_file(path, max_bytes)
+    except (OSError, RegularFileError) as error:
+        raise DataError(f"{path}: {error.strerror if isinstance(error, OSError) else error}.") from None
 
 
 class Problems:
@@ -94,9 +109,7 @@ class Boxes:
     """(n,) whether the box surrounds many objects, as COCO's `iscrowd`: detections in it are not counted."""
 
     @classmethod
-    def of(
-        cls, rows: Sequence[Sequence[float]], class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None
-    ) -> Boxes:
+    def of(cls, rows: ArrayLike, class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None) -> Boxes:
         """Boxes with the corners `rows`; None: none of them is a crowd."""
         xyxy = np.array(rows, np.float64).reshape(-1, 4)
         crowds = np.zeros(len(xyxy), np.bool_) if is_crowd is None else np.array(is_crowd, np.bool_)
@@ -130,8 +143,7 @@ class Labels:
         return Boxes(pixels, self.boxes.class_ids, self.boxes.is_crowd)
 
 
-@dataclass(frozen=True, eq=False)
-class LabelledPath:
+class LabelledPath(NamedTuple):
     """An image file and its labels."""
 
     path: Path
@@ -167,6 +179,11 @@ def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
         remedy = "; --root names the folder that may be read" if is_helped else ""
         raise DataError(f"'{shown}' lies outside of {root}{remedy}")
     return path
+
+
+def absolute(path: Path) -> Path:
+    """`path` from the root of the file system on, without `..`; links are kept."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - Path.resolve would follow links
 
 
 def _exists(path: Path) -> bool:

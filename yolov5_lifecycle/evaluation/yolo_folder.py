@@ -1,34 +1,44 @@
-"""Labelled images in YOLO format: `images/`, `labels/` and `data.yaml`, which says what is where."""
+"""Labelled images in YOLO format: `images/`, `labels/` and `data.yaml`, which says what is where.
+
+A label file has a line for each object: a box or a polygon in fractions of the image.
+"""
 
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 
 from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_BOXES_PER_IMAGE,
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
     PROGRESS_PERIOD,
     SPLITS,
+    Boxes,
     DataError,
     LabelledFolder,
     LabelledPath,
+    Labels,
     Problems,
+    absolute,
+    check_box_count,
     check_count,
     confined_path,
+    read_data_file,
 )
-from yolov5_lifecycle.evaluation.yolo_labels import label_text, parsed_labels
 from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
-from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, ClassNamesError, class_names_of
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, class_names_of
 from yolov5_lifecycle.outside_yaml import PlainText, texts_of
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
@@ -36,74 +46,69 @@ YAML_SUFFIXES = (".yaml", ".yml")
 _MAX_YAML_BYTES = 1 << 20
 _NO_PATH = ("", "~", "null", "Null", "NULL")
 """An entry without a value, as YAML writes it."""
-_RESOLVER = yaml.resolver.Resolver()
-_READ = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("bool", "int", "float", "null"))
 MAX_LIST_BYTES = 64 << 20
 MAX_LABEL_CHARACTERS = 1 << 30
 """Of all label files together; those of COCO's training set, with polygons, have 0.5 GB."""
+MAX_LABEL_BYTES = 4 << 20
+"""Of a label file; the largest of COCO, with polygons, has 60 kB."""
+MAX_LINES = 2 * MAX_BOXES_PER_IMAGE
+_TOLERANCE = 1e-4
+"""How far outside of the image a fraction may be, as tools round."""
+_MIN_POLYGON_FIELDS = 7
 
 
 @dataclass(frozen=True)
 class DataDescription:
     """The entries of a `data.yaml` that are used here."""
 
-    folder: str
+    folder: str = ""
     """The entry `path`, which the others are relative to; "" without one."""
-    splits: Mapping[str, tuple[str, ...]]
+    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Folders and lists of images by `train`, `val` and `test`; without those that are empty."""
-    class_names: tuple[str, ...] | None
+    class_names: tuple[str, ...] | None = None
 
 
 def read_description(path: Path) -> DataDescription:
     """Read the `data.yaml` at `path`, at most a megabyte. Raises DataError."""
+    text = read_data_file(path, _MAX_YAML_BYTES)
     try:
-        content = texts_of(read_text_file(path, _MAX_YAML_BYTES))
-    except (ValueError, OSError) as error:
-        problem = error.strerror if isinstance(error, OSError) else str(error)
-        raise DataError(f"{path}: {problem}.") from None
-    if not isinstance(content, dict):
-        raise DataError(f"{path}: expected names and values, such as `val: images` and `names: [cat, dog]`.")
-    try:
-        splits = {name: _texts(content.get(name)) for name in SPLITS}
-        names = _class_names(content.get("names"))
+        content = texts_of(text)
+        if not isinstance(content, dict):
+            raise ValueError("expected names and values, such as `val: images` and `names: [cat, dog]`")
+        splits = {name: _paths(content.get(name)) for name in SPLITS}
+        names = _class_names(content["names"]) if content.get("names") else None
+        (folder, *_) = (*_paths(content.get("path")), "")
     except ValueError as error:
         raise DataError(f"{path}: {error}.") from None
-    folder = content.get("path")
-    return DataDescription(
-        folder if isinstance(folder, str) and folder not in _NO_PATH else "",
-        {name: entries for name, entries in splits.items() if entries},
-        names,
-    )
+    return DataDescription(folder, {name: paths for name, paths in splits.items() if paths}, names)
 
 
-def _texts(value: object) -> tuple[str, ...]:
+def _paths(value: object) -> tuple[str, ...]:
     """The paths in a text or a list of texts."""
     texts = value if isinstance(value, list) else [value]
     if any(isinstance(text, (list, dict)) for text in texts):
-        raise ValueError("train, val and test must be paths or lists of paths")
+        raise ValueError("path, train, val and test must be paths or lists of paths")
     return tuple(text for text in texts if isinstance(text, str) and text not in _NO_PATH)
 
 
-def _class_names(names: object) -> tuple[str, ...] | None:
+def _class_names(names: object) -> tuple[str, ...]:
     """Class names of a list, or of a mapping from the ids 0, 1, ..., as a checkpoint of them would have."""
-    if not names:
-        return None
     if isinstance(names, dict):
-        return class_names_of({key: _loaded(name) for key, name in names.items()}, 0, MAX_CLASSES)
-    if isinstance(names, list):
-        return class_names_of(list(map(_loaded, names)), 0, MAX_CLASSES)
-    raise ClassNamesError("names must be a list of class names, or a mapping from 0, 1, ... to them")
+        names = {key: _loaded(name) for key, name in names.items()}
+    elif isinstance(names, list):
+        names = list(map(_loaded, names))
+    return class_names_of(names, 0, MAX_CLASSES)
 
 
 def _loaded(name: object) -> object:
     """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
     if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
         return name
-    tag = _RESOLVER.resolve(yaml.ScalarNode, name, (True, False))  # type: ignore[no-untyped-call]
     try:
-        return yaml.safe_load(name) if tag in _READ else name
-    except ValueError:  # such as 0b_, a number without digits
+        value = yaml.safe_load(name)
+    except (yaml.YAMLError, ValueError):  # such as 0b_, a number without digits
         return name
+    return value if isinstance(value, (bool, int, float, type(None))) else name
 
 
 def read_yolo_folder(
@@ -120,41 +125,30 @@ def read_yolo_folder(
     Raises DataError if nothing is left or a limit is exceeded, and OSError.
     """
     description_path = _description_path(data)
-    description = read_description(description_path) if description_path else DataDescription("", {}, None)
+    description = read_description(description_path) if description_path else DataDescription()
     folder = absolute(description_path.parent if description_path else data)
     reader = _Reader(folder, absolute(root) if root else folder, problems)
     problems.progress("looking for images")
     wanted = _entries(description, data, split)
     paths = reader.images(wanted, description.folder)
-    class_count = len(description.class_names or ()) or MAX_CLASSES
     if not paths:
         raise DataError(
             f"{data}: there are no images ({', '.join(IMAGE_SUFFIXES)}) in {', '.join(wanted)[:1000]}. "
             "Expected a folder with images/ and labels/, or a data.yaml that names them. "
             f"{problems.summary}".strip()
         )
-    images = []
-    for number, path in enumerate(paths):
-        if number % PROGRESS_PERIOD == 0:
-            problems.progress(f"labels: {number} of {len(paths)} images")
-        if (image := reader.labelled(path, class_count)) is not None:
-            images.append(image)
+    class_count = len(description.class_names or ()) or MAX_CLASSES
+    images = list(reader.labelled(paths, class_count))
     if not reader.label_files:
-        path = next(iter(paths))
         raise DataError(
             f"{data}: none of {len(paths)} images has a label file: expected "
-            f"{_label_path(path, reader.root)} for {path}."
+            f"{_label_path(paths[0], reader.root)} for {paths[0]}."
         )
     if not images:
         raise DataError(
             f"{data}: none of {len(paths)} images has labels that can be used: {problems.summary}."
         )
     return LabelledFolder(description.class_names, tuple(images))
-
-
-def absolute(path: Path) -> Path:
-    """`path` from the root of the file system on, without `..`; links are kept."""
-    return Path(os.path.abspath(path))  # noqa: PTH100 - Path.resolve would follow links
 
 
 def _description_path(data: Path) -> Path | None:
@@ -206,8 +200,10 @@ class _Reader:
 
     def _images(self, entry: str, base: str) -> Iterator[Path]:
         """The image files of an entry: a folder, whatever is below it, or a list of files."""
-        path = self._located(entry, base)
-        if path is None:
+        try:
+            path = self._located(entry, base)
+        except DataError as error:
+            self._problems.add("unusable entries", f"'{entry}' in data.yaml", error)
             return
         if path.is_dir():
             yield from sorted(filter(_is_image, self._tree.files(path)))
@@ -216,53 +212,23 @@ class _Reader:
         elif _is_image(path):
             yield path
 
-    def labelled(self, path: Path, class_count: int) -> LabelledPath | None:
-        """The image with its labels, none if it has no label file; None if they are broken."""
-        label_path = _label_path(path, self.root)
-        text: str | None = ""
-        try:
-            text = label_text(label_path)
-            labels = parsed_labels(text or "", class_count)
-        except DataError as error:
-            self._problems.add("broken labels", label_path, error)
-            labels = None
-        self.label_files += text is not None
-        self._count(label_path.parent, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
-        if labels is None:
-            return None
-        self._count(label_path.parent, "objects in a data set", len(labels.boxes), MAX_OBJECTS)
-        return LabelledPath(path, labels)
+    def _located(self, entry: str, base: str) -> Path:
+        """The path of an entry, which `base` may precede; raises DataError.
 
-    def _count(self, where: Path, what: str, more: int, limit: int) -> None:
-        self._counts[what] += more
-        check_count(where, what, self._counts[what], limit)
-
-    def _located(self, entry: str, base: str) -> Path | None:
-        """The path of an entry; like in YOLOv5, without a leading `../` if only that path exists."""
-        below = self._below(base)
-        problem: DataError | None = None
-        for text in dict.fromkeys((entry, entry.removeprefix("../"))):
-            for start in dict.fromkeys((below, self._folder)):
+        Like in YOLOv5, it is without a leading `../` if only that path exists.
+        """
+        problems = []
+        for text in (entry, entry.removeprefix("../")):
+            for relative in (Path(base, text), Path(text)):
                 try:
-                    path = confined_path(self.root, text, base=start)
+                    path = confined_path(self.root, str(relative), base=self._folder)
                 except DataError as error:
-                    problem = problem or error
+                    problems.append(error)
                     continue
                 if os.path.exists(path):  # noqa: PTH110 - Path.exists raises if a name is too long
                     return path
-                problem = problem or DataError(f"{path} not found")
-        self._problems.add("unusable entries", f"'{entry}' in data.yaml", problem)
-        return None
-
-    def _below(self, base: str) -> Path:
-        """The folder `path` of `data.yaml`; the folder of `data.yaml` if `path` is outside of the root."""
-        if not base:
-            return self._folder
-        try:
-            return confined_path(self.root, base, base=self._folder)
-        except DataError as error:
-            self._problems.add("unusable entries", "'path' in data.yaml", error)
-            return self._folder
+                problems.append(DataError(f"{path} not found"))
+        raise problems[0]
 
     def _listed(self, path: Path) -> Iterator[Path]:
         """The images of a list, one path a line, relative to the list."""
@@ -283,6 +249,30 @@ class _Reader:
                 continue
             yield image
 
+    def labelled(self, paths: Sequence[Path], class_count: int) -> Iterator[LabelledPath]:
+        """The images with their labels, none if there is no label file; without those with broken ones."""
+        for number, path in enumerate(paths):
+            if number % PROGRESS_PERIOD == 0:
+                self._problems.progress(f"labels: {number} of {len(paths)} images")
+            label_path = _label_path(path, self.root)
+            text: str | None = ""
+            try:
+                text = label_text(label_path)
+                labels = parsed_labels(text or "", class_count)
+            except DataError as error:
+                self._problems.add("broken labels", label_path, error)
+                labels = None
+            self.label_files += text is not None
+            where = label_path.parent
+            self._count(where, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
+            if labels is not None:
+                self._count(where, "objects in a data set", len(labels.boxes), MAX_OBJECTS)
+                yield LabelledPath(path, labels)
+
+    def _count(self, where: Path, what: str, more: int, limit: int) -> None:
+        self._counts[what] += more
+        check_count(where, what, self._counts[what], limit)
+
 
 def _is_image(path: Path) -> bool:
     return path.suffix.lower() in IMAGE_SUFFIXES
@@ -302,3 +292,83 @@ def _label_path(path: Path, root: Path) -> Path:
     is_below = last >= len(root.parts)
     instead = Path(*parts)
     return instead if is_below or os.path.exists(instead) else beside  # noqa: PTH110 - see _located
+
+
+def label_text(path: Path) -> str | None:
+    """The text of the label file at `path`, for `parsed_labels`; None if it does not exist.
+
+    Raises DataError.
+    """
+    try:
+        return read_text_file(path, MAX_LABEL_BYTES).decode()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except UnicodeDecodeError:
+        raise DataError("expected a text, found other bytes") from None
+    except (OSError, RegularFileError) as error:
+        raise DataError(error.strerror if isinstance(error, OSError) else str(error)) from None
+
+
+class LabelledObject(NamedTuple):
+    """What a line of a label file says."""
+
+    class_id: int
+    values: tuple[float, ...]
+    """The fractions in the line."""
+    corners: tuple[float, ...]
+    """x1, y1, x2, y2 within the image."""
+
+
+def parsed_labels(text: str, class_count: int) -> Labels:
+    """The labels in `text`, with class ids below `class_count`; equal boxes count once.
+
+    Raises DataError, with the line, if one is broken: an image with unknown objects cannot be evaluated.
+    """
+    boxes = dict.fromkeys((each.corners, each.class_id) for each in labelled_objects(text, class_count))
+    check_box_count(len(boxes))
+    return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
+
+
+def labelled_objects(text: str, class_count: int) -> Iterator[LabelledObject]:
+    """What the lines of `text` say, see `parsed_labels`."""
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        if number > MAX_LINES:
+            raise DataError(f"more than {MAX_LINES} lines")
+        try:
+            if fields := line.split():
+                yield _object(fields, class_count)
+        except DataError as error:
+            raise DataError(f"line {number}: {error}") from None
+
+
+def _object(fields: list[str], class_count: int) -> LabelledObject:
+    if len(fields) != 5 and (len(fields) < _MIN_POLYGON_FIELDS or len(fields) % 2 == 0):
+        raise DataError(
+            "expected a class and 4 numbers (centre and size of a box) or at least 3 points of a polygon, "
+            f"found {len(fields)} fields"
+        )
+    class_id, *values = map(_number, fields)
+    if not class_id.is_integer() or not 0 <= class_id < class_count:
+        raise DataError(f"expected a class from 0 to {class_count - 1}, found {fields[0][:20]}")
+    outside = [value for value in values if not -_TOLERANCE <= value <= 1 + _TOLERANCE]
+    if outside:
+        raise DataError(f"expected fractions of the image from 0 to 1, found {outside[0]:g}")
+    if len(values) == 4:
+        cx, cy, width, height = values
+        corners = (cx - width / 2, cy - height / 2, cx + width / 2, cy + height / 2)
+    else:
+        corners = (min(values[0::2]), min(values[1::2]), max(values[0::2]), max(values[1::2]))
+    x1, y1, x2, y2 = (min(max(corner, 0.0), 1.0) for corner in corners)
+    if not (x1 < x2 and y1 < y2):
+        raise DataError("the object has no area")
+    return LabelledObject(int(class_id), tuple(values), (x1, y1, x2, y2))
+
+
+def _number(field: str) -> float:
+    try:
+        value = float(field)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise DataError(f"expected numbers, found {field[:20]!r}")
+    return value

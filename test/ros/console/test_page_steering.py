@@ -18,7 +18,7 @@ from support.detector_process import NODE, PARAMETERS
 from support.page_fixtures import ConsoleRobot, console_robot, opened
 from support.sighting import Sighting
 
-from yolov5_lifecycle.collecting.collected_files import read_frame_list
+from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import SETTINGS
 
@@ -180,7 +180,7 @@ def test_an_image_that_is_asked_for_is_kept_and_the_page_says_so(browser: Chrome
         page.wait_for_text(".collect .result", "the next image is kept")
         assert page.text(".collect .refusal") == ""
         page.wait_for(
-            lambda: any("requested" in frame.reasons for frame in read_frame_list(tmp_path).frames),
+            lambda: any("requested" in frame.reasons for _, frame in kept_images(tmp_path)),
             "the image",
         )
 

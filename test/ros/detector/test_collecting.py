@@ -10,11 +10,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CompressedImage
 from std_srvs.srv import Trigger
+from support.candidates import frames_of
 from support.detector_process import WEIGHTS, scene_image
 from support.served_node import ServedNode
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.collecting.collected_files import CollectedFrame, read_frame_list
+from yolov5_lifecycle.collecting.collected_files import CollectedFrame
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
@@ -30,9 +31,9 @@ def served_with(folder: Path | None, *parameters: str) -> ServedNode:
     return ServedNode(prepare_model, parameters=words)
 
 
-def wait_for_kept(served: ServedNode, folder: Path, count: int) -> tuple[CollectedFrame, ...]:
-    served.wait_for(lambda: len(read_frame_list(folder).frames) >= count, f"{count} kept images")
-    return read_frame_list(folder).frames
+def wait_for_kept(served: ServedNode, folder: Path, count: int) -> list[CollectedFrame]:
+    served.wait_for(lambda: len(frames_of(folder)) >= count, f"{count} kept images")
+    return frames_of(folder)
 
 
 def ask(served: ServedNode) -> tuple[bool, str]:
@@ -65,7 +66,7 @@ def test_a_kept_image_has_the_detections_that_were_published(tmp_path: Path) -> 
     assert told == []
     assert len(data.images[0].labels.boxes) == len(frame.objects)
     folder = CollectedFolder(tmp_path, Quota(max_bytes=1 << 30, min_free_bytes=0))  # which the node has freed
-    assert len(folder.lines) == 1
+    assert len(folder) == 1
     folder.close()
 
 

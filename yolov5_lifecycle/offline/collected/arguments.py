@@ -12,15 +12,21 @@ MAX_SHOWN = 10_000
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """The argument parser of the command."""
+    """The argument parser of the command; every action has `folders`."""
     parser = CommandParser(
         "collected", description="Show, merge, split and clear out what a detector has collected."
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    show = actions.add_parser("show", help="how many images there are, and why they were kept")
-    show.add_argument("folder", type=Path, metavar="FOLDER", help="the collect_dir of a detector")
-    sheet = actions.add_parser("sheet", help="write one HTML file with all images, sorted by reason")
-    sheet.add_argument("folder", type=Path, metavar="FOLDER")
+
+    def action(name: str, told: str, *, folders: int | str = 1) -> argparse.ArgumentParser:
+        of_action = actions.add_parser(name, help=told)
+        of_action.add_argument(
+            "folders", type=Path, nargs=folders, metavar="FOLDER", help="the collect_dir of a detector"
+        )
+        return of_action
+
+    action("show", "how many images there are, and why they were kept")
+    sheet = action("sheet", "write one HTML file with all images, sorted by reason")
     sheet.add_argument("--output", type=Path, required=True, metavar="SHEET.html", help="a new file")
     sheet.add_argument(
         "--most",
@@ -29,8 +35,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="N",
         help="show the N most valuable images; default: %(default)s",
     )
-    split = actions.add_parser("split", help="write split.yaml: whole sessions for training or validation")
-    split.add_argument("folder", type=Path, metavar="FOLDER")
+    split = action("split", "write split.yaml: whole sessions for training or validation")
     split.add_argument(
         "--share",
         type=_share,
@@ -38,20 +43,12 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="SHARE",
         help="about this share of the images is for validation; default: %(default)s",
     )
-    merge = actions.add_parser("merge", help="copy the images of several robots into a new folder")
-    merge.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
+    merge = action("merge", "copy the images of several robots into a new folder", folders="+")
     merge.add_argument("--output", type=Path, required=True, metavar="NEW", help="a new folder")
-    remove = actions.add_parser("remove", help="remove images, while no detector collects into the folder")
-    remove.add_argument("folder", type=Path, metavar="FOLDER")
+    remove = action("remove", "remove images, while no detector collects into the folder")
+    remove.add_argument("--session", action="append", default=[], help="those of this session")
     remove.add_argument(
-        "--session", action="append", default=[], metavar="SESSION", help="those of this session"
-    )
-    remove.add_argument(
-        "--reason",
-        action="append",
-        default=[],
-        metavar="REASON",
-        help="those that were kept for no other reason than these",
+        "--reason", action="append", default=[], help="those that were kept for no other reason than these"
     )
     return parser
 

@@ -14,21 +14,21 @@ from yolov5_lifecycle.collecting.collected_files import (
     DATA,
     FRAMES,
     IMAGES,
-    MAX_LIST_BYTES,
+    LABELS,
+    SUFFIXES,
     CollectingError,
-    FrameLine,
-    own_bytes,
+    KeptImage,
+    file_of,
+    kept_images,
     read_class_names,
-    read_frame_list,
     with_names,
     write_description,
-    write_frame_list,
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, DataError, check_count
-from yolov5_lifecycle.evaluation.yolo_labels import label_text, objects_in
+from yolov5_lifecycle.evaluation.yolo_folder import label_text, labelled_objects
 from yolov5_lifecycle.offline.collected.arguments import command_parser
-from yolov5_lifecycle.offline.collected.contact_sheet import contact_sheet
+from yolov5_lifecycle.offline.collected.contact_sheet import contact_sheet, first_reason
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 
@@ -45,21 +45,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.action == "remove" and not (arguments.session or arguments.reason):
         parser.error("remove needs --session or --reason")
     try:
+        for folder in arguments.folders:
+            if not (folder / FRAMES).is_dir():
+                raise CollectingError(
+                    f"{folder}: expected the collect_dir of a detector, found no {FRAMES} in it"
+                )
         return write_output(_COMMAND, _ACTIONS[arguments.action](arguments))
     except (CollectingError, DataError, OutputError, OSError) as error:
         complain(_COMMAND, in_one_line(str(error)))
         return 1
 
 
-def _lines(folder: Path) -> tuple[FrameLine, ...]:
-    """What is in `folder`; raises CollectingError if it is no folder of collected images."""
-    _check(folder)
-    return read_frame_list(folder).lines
-
-
-def _check(folder: Path) -> None:
-    if own_bytes(folder, FRAMES, MAX_LIST_BYTES) is None:
-        raise CollectingError(f"{folder}: expected the collect_dir of a detector, found no {FRAMES} in it")
+def _images(folder: Path) -> list[KeptImage]:
+    return [kept for kept, _ in kept_images(folder)]
 
 
 def _show(arguments: argparse.Namespace) -> str:
@@ -68,9 +66,8 @@ def _show(arguments: argparse.Namespace) -> str:
     An image with several reasons counts for each of them.
     """
     counts = {kind: Counter[str]() for kind in ("session", "camera", "model", "reason", "class")}
-    for line in _lines(arguments.folder):
-        frame = line.frame
-        counts["session"][line.session] += 1
+    for kept, frame in kept_images(*arguments.folders):
+        counts["session"][kept.session] += 1
         counts["camera"][frame.camera or "(without a name)"] += 1
         counts["model"][frame.weights_sha256[:12]] += 1
         counts["reason"].update(frame.reasons.keys())
@@ -83,18 +80,20 @@ def _show(arguments: argparse.Namespace) -> str:
 
 
 def _sheet(arguments: argparse.Namespace) -> str:
-    folder = arguments.folder
-    lines = sorted(_lines(folder), key=lambda line: -line.value)[: arguments.most]
+    (folder,) = arguments.folders
+    found = [(kept, first_reason(frame)) for kept, frame in kept_images(folder)]
+    images = sorted(found, key=lambda each: -each[0].value)[: arguments.most]
     class_names = read_class_names(folder, is_used=False)
     with whole_output(arguments.output) as unfinished, unfinished.open("w", encoding="utf-8") as file:
-        title = f"{len(lines)} collected images: {folder.resolve().name}"
-        file.writelines(contact_sheet(folder, lines, class_names, title=title))
-    return f"{arguments.output}: {len(lines)} images\n"
+        title = f"{len(images)} collected images: {folder.resolve().name}"
+        file.writelines(contact_sheet(folder, images, class_names, title=title))
+    return f"{arguments.output}: {len(images)} images\n"
 
 
 def _split(arguments: argparse.Namespace) -> str:
     """Whole sessions for training or validation: neighbouring images show the same scene."""
-    folder, counts = arguments.folder, Counter(line.session for line in _lines(arguments.folder))
+    (folder,) = arguments.folders
+    counts = Counter(kept.session for kept in _images(folder))
     validation = validation_sessions(counts, arguments.share)
     paths = {session: f"{IMAGES}/{session}" for session in sorted(counts)}
     train = [path for session, path in paths.items() if session not in validation]
@@ -120,13 +119,10 @@ def validation_sessions(counts: Counter[str], share: float) -> list[str]:
         if len(chosen) < len(counts) - 1 and counts[session] <= left:
             chosen.append(session)
             left -= counts[session]
-    smallest = min(counts, key=lambda session: (counts[session], session))
-    return sorted(chosen or [smallest])
+    return sorted(chosen or by_size[-1:])
 
 
 def _merge(arguments: argparse.Namespace) -> str:
-    for folder in arguments.folders:
-        _check(folder)
     with whole_output(arguments.output) as unfinished:
         count, repeated = merge(arguments.folders, unfinished)
     first = f"; {repeated} that a folder before had, too, are as in that one" if repeated else ""
@@ -140,65 +136,61 @@ def merge(folders: Sequence[Path], output: Path) -> tuple[int, int]:
     many were left out for that. Classes are matched by name. Raises CollectingError if labels cannot be
     read, DataError beyond the limits of a data set or of the disk, and OSError.
     """
-    sources: dict[str, tuple[Path, FrameLine, Sequence[int]]] = {}
+    sources: dict[str, tuple[Path, KeptImage, Sequence[int]]] = {}
     names: tuple[str, ...] = ()
-    listed = 0
+    found = 0
     for folder in folders:
-        lines = read_frame_list(folder).lines
-        own_names = read_class_names(folder, is_used=bool(lines))
+        images = _images(folder)
+        own_names = read_class_names(folder, is_used=bool(images))
         names = with_names(names, own_names)
         ids = {name: index for index, name in enumerate(names)}
-        class_ids = [ids[name] for name in own_names]
-        listed += len(lines)
-        for line in lines:
-            sources.setdefault(line.image, (folder, line, class_ids))
-    merged = [line for _, line, _ in sources.values()]
-    _check_limits(merged, len(names), shutil.disk_usage(output.parent).free)
-    output.mkdir()
-    for folder, line, ids_in_output in sources.values():
-        _copy(folder, output, line, ids_in_output)
-    write_description(output / DATA, names)
-    write_frame_list(output, merged)
-    return len(merged), listed - len(merged)
-
-
-def _check_limits(lines: Sequence[FrameLine], class_count: int, free_bytes: int) -> None:
+        ids_in_output = [ids[name] for name in own_names]
+        found += len(images)
+        for kept in images:
+            sources.setdefault(kept.path, (folder, kept, ids_in_output))
+    size = sum(kept.size for _, kept, _ in sources.values())
     limits = {
-        "images": (len(lines), MAX_IMAGES),
-        "classes": (class_count, MAX_CLASSES),
-        f"bytes in {FRAMES}": (sum(len(line.text) for line in lines), MAX_LIST_BYTES),
-        "bytes, which are free on the disk": (sum(line.size for line in lines), free_bytes),
+        "images": (len(sources), MAX_IMAGES),
+        "classes": (len(names), MAX_CLASSES),
+        "bytes, which are free on the disk": (size, shutil.disk_usage(output.parent).free),
     }
     for what, (count, limit) in limits.items():
         check_count("all folders", what, count, limit, remedy="merge fewer")
+    output.mkdir()
+    for image, (folder, _, class_ids) in sources.items():
+        _copy(folder, output, image, class_ids)
+    write_description(output / DATA, names)
+    return len(sources), found - len(sources)
 
 
-def _copy(folder: Path, output: Path, line: FrameLine, class_ids: Sequence[int]) -> None:
-    for path in (output / line.image, output / line.labels):
-        path.parent.mkdir(parents=True, exist_ok=True)
+def _copy(folder: Path, output: Path, image: str, class_ids: Sequence[int]) -> None:
+    for kind in SUFFIXES:
+        (output / file_of(image, kind)).parent.mkdir(parents=True, exist_ok=True)
+    labels = file_of(image, LABELS)
     try:
-        objects = objects_in(label_text(folder / line.labels) or "", len(class_ids))
+        objects = list(labelled_objects(label_text(folder / labels) or "", len(class_ids)))
     except DataError as error:
-        raise CollectingError(f"{folder / line.labels}: {error}; correct it") from None
-    rows = ((class_ids[class_id], *values) for class_id, values in objects)
-    (output / line.labels).write_text("".join(f"{' '.join(map(str, row))}\n" for row in rows))
-    shutil.copyfile(folder / line.image, output / line.image, follow_symlinks=False)
+        raise CollectingError(f"{folder / labels}: {error}; correct it") from None
+    rows = ((class_ids[each.class_id], *each.values) for each in objects)
+    (output / labels).write_text("".join(f"{' '.join(map(str, row))}\n" for row in rows))
+    for path in (file_of(image, FRAMES), image):
+        shutil.copyfile(folder / path, output / path, follow_symlinks=False)
 
 
 def _remove(arguments: argparse.Namespace) -> str:
+    (path,) = arguments.folders
     reasons, sessions = {*arguments.reason}, {*arguments.session}
-    _check(arguments.folder)
-    with closing(CollectedFolder(arguments.folder, _NO_LIMIT)) as folder:
-        lines = folder.lines
+    with closing(CollectedFolder(path, _NO_LIMIT)) as folder:
+        count = len(folder)
         leaving = [
-            line
-            for line in lines
-            if (not sessions or line.session in sessions)
-            and (not reasons or reasons.issuperset(line.frame.reasons))
+            kept.path
+            for kept, frame in kept_images(path)
+            if (not sessions or kept.session in sessions)
+            and (not reasons or reasons.issuperset(frame.reasons))
         ]
-        for line in leaving:
-            folder.remove(line)
-    return f"{arguments.folder}: {len(leaving)} of {len(lines)} images removed\n"
+        for image in leaving:
+            folder.remove(image)
+    return f"{path}: {len(leaving)} of {count} images removed\n"
 
 
 _ACTIONS: Mapping[str, Callable[[argparse.Namespace], str]] = {

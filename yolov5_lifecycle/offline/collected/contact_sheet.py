@@ -14,15 +14,16 @@ import numpy as np
 from yolov5_lifecycle.collecting.collected_files import (
     MAX_IMAGE_BYTES,
     CollectedFrame,
-    FrameLine,
+    KeptImage,
+    read_record,
     with_names,
 )
 from yolov5_lifecycle.collecting.triggers import Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.compressed import decode_image_file, encode_jpeg
-from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.input_file import read_regular_file
 from yolov5_lifecycle.printable import in_one_line
 
 THUMBNAIL_PX = 320
@@ -43,38 +44,40 @@ figure {{ margin: 0; overflow-wrap: anywhere }} img {{ width: 100% }}
 
 
 def contact_sheet(
-    folder: Path, lines: Iterable[FrameLine], class_names: Sequence[str], *, title: str
+    folder: Path, images: Iterable[tuple[KeptImage, str]], class_names: Sequence[str], *, title: str
 ) -> Iterator[str]:
-    """The page in parts: frames by their most valuable trigger, with what the model found drawn in them.
+    """The page in parts: `images` by the reason with each, see `first_reason`, in their order.
 
-    `class_names` decide on the colours. An image that cannot be read is told in its place.
+    What the model found is drawn in them; `class_names` decide on the colours. An image that cannot be read
+    is told in its place.
     """
     yield _PAGE.format(title=html.escape(in_one_line(title)))
-    by_trigger = defaultdict[str, list[FrameLine]](list)
-    for line in lines:
-        by_trigger[_first_trigger(line.frame)].append(line)
-    for name in filter(by_trigger.get, (*_TRIGGERS, _OTHER)):
-        yield f"<h2>{name}: {len(by_trigger[name])}</h2>\n<section>\n"
-        for line in sorted(by_trigger[name], key=lambda line: -line.value):
-            yield _figure(folder, line.frame, class_names)
+    by_reason = defaultdict[str, list[str]](list)
+    for kept, reason in images:
+        by_reason[reason].append(kept.path)
+    for reason in filter(by_reason.get, (*_TRIGGERS, _OTHER)):
+        yield f"<h2>{reason}: {len(by_reason[reason])}</h2>\n<section>\n"
+        for path in by_reason[reason]:
+            yield _figure(folder, path, class_names)
         yield "</section>\n"
     yield "</html>\n"
 
 
-def _first_trigger(frame: CollectedFrame) -> str:
-    """The most valuable one that this version knows."""
+def first_reason(frame: CollectedFrame) -> str:
+    """The most valuable reason that this version knows, or `other`."""
     return next((name for name in _TRIGGERS if name in frame.reasons), _OTHER)
 
 
-def _figure(folder: Path, frame: CollectedFrame, class_names: Sequence[str]) -> str:
+def _figure(folder: Path, path: str, class_names: Sequence[str]) -> str:
+    told = path
     try:
+        frame = read_record(folder, path)
+        told += " " + "; ".join(f"{name}: {text}" for name, text in frame.reasons.items())
         jpeg = base64.b64encode(_thumbnail(folder, frame, class_names)).decode()
         picture = f'<img loading="lazy" alt="" src="data:image/jpeg;base64,{jpeg}">'
-    except (ImageError, RegularFileError, OSError) as error:
+    except (ValueError, OSError) as error:
         picture = f"<p>{html.escape(in_one_line(str(error)))}</p>"
-    reasons = "; ".join(f"{name}: {text}" for name, text in frame.reasons.items())
-    caption = html.escape(in_one_line(f"{frame.image} {reasons}"))
-    return f"<figure>{picture}<figcaption>{caption}</figcaption></figure>\n"
+    return f"<figure>{picture}<figcaption>{html.escape(in_one_line(told))}</figcaption></figure>\n"
 
 
 def _thumbnail(folder: Path, frame: CollectedFrame, class_names: Sequence[str]) -> bytes:

@@ -43,49 +43,51 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     arguments = parser.parse_args(argv)
     try:
         if not arguments.data.exists():
-            return _complain(f"{arguments.data}: file or folder not found")
-        if problem := _usage_problem(arguments):
+            raise FileNotFoundError(f"{arguments.data}: file or folder not found")
+        options = DataOptions(**{each.name: getattr(arguments, each.name) for each in fields(DataOptions)})
+        if problem := _usage_problem(arguments, options):
             parser.error(problem)
         with unwound_by_sigterm(), closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
-            return _run(arguments, terminal, prepare)
+            return write_output(_COMMAND, _evaluated(arguments, options, terminal, prepare))
     except SettingsError as error:
         problems = "".join(f"\n  {problem}" for problem in error.problems)
-        return _complain(f"{len(error.problems)} problem(s) in the settings:{problems}")
+        complain(_COMMAND, f"{len(error.problems)} problem(s) in the settings:{problems}")
     except ImportError as error:
-        return _complain(import_problem(error))
+        complain(_COMMAND, import_problem(error))
     except (ValueError, OSError, DetectingError, InferenceError) as error:
-        return _complain(str(error))
+        complain(_COMMAND, str(error))
     except KeyboardInterrupt:
-        _complain("interrupted; unfinished output was removed")
+        complain(_COMMAND, "interrupted; unfinished output was removed")
         return 130
+    return 1
 
 
-def _run(arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> int:
+def _evaluated(
+    arguments: argparse.Namespace, options: DataOptions, terminal: Terminal, prepare: Prepare
+) -> str:
+    """What is printed; the files are written."""
     wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
         wanted.append(_settings(arguments, _compared(arguments.compare)))
-    problem = absence_of("pycocotools.cocoeval")
-    if not problem and arguments.output:
-        problem = absence_of("matplotlib.figure")
-    if problem:
-        return _complain(problem)
-    listener = _Listener(terminal)
+    for module in ("pycocotools.cocoeval", *(["matplotlib.figure"] if arguments.output else [])):
+        if problem := absence_of(module):
+            raise DetectingError(problem)
+    reports = _Reports(terminal)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
-        opened = labelled_data(arguments.data, _data_options(arguments), listener.problems)
-        data = stack.enter_context(opened)
+        data = stack.enter_context(labelled_data(arguments.data, options, reports.problems))
         classes, evaluations = evaluate_models(
-            data, wanted, listener=listener, problems=listener.problems, prepare=prepare
+            data, wanted, listener=reports, problems=reports.problems, prepare=prepare
         )
         terminal.begin("computing the figures")
         result = EvaluationResult(
-            arguments.data, data.kind, classes, evaluations, listener.problems, arguments.thresholds
+            arguments.data, data.kind, classes, evaluations, reports.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
         if folder is not None:
             result.write(folder)
         terminal.close()
-    return write_output(_COMMAND, text)
+    return text
 
 
 def _compared(other: str) -> list[str]:
@@ -105,11 +107,7 @@ def _settings(arguments: argparse.Namespace, further: Sequence[str]) -> Settings
     return wanted_settings(arguments.params_file, assignments, arguments.node, arguments.camera)
 
 
-def _data_options(arguments: argparse.Namespace) -> DataOptions:
-    return DataOptions(**{field.name: getattr(arguments, field.name) for field in fields(DataOptions)})
-
-
-class _Listener:
+class _Reports:
     """Shows progress on the terminal, and the first problems; counts all."""
 
     def __init__(self, terminal: Terminal) -> None:
@@ -132,12 +130,7 @@ class _Listener:
         complain(_COMMAND, problem)
 
 
-def _complain(problem: str) -> int:
-    complain(_COMMAND, problem)
-    return 1
-
-
-def _usage_problem(arguments: argparse.Namespace) -> str:
+def _usage_problem(arguments: argparse.Namespace, options: DataOptions) -> str:
     """The conflict between command-line arguments, or ""."""
     kind = kind_of(arguments.data)
     compared = [] if arguments.compare is None else _compared(arguments.compare)
@@ -147,7 +140,7 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
     )
     useless = (named | named_other - {"weights"}) & _USELESS.keys()
     problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
-    for name in _data_options(arguments).useless(kind):
+    for name in options.useless(kind):
         option = f"--{name.replace('_', '-')}"
         problems.append(f"{option} does not apply to {arguments.data}, a data set of the kind {kind}")
     return "; ".join(problems)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,7 +142,7 @@ def evaluate_models(
             f"None of {len(common)} images has an object of the classes that data and model share: "
             f"{', '.join(classes.names[:10])}. {problems.summary}"
         )
-    times = _times_ms(models, list(timed.values()))
+    times = _times_ms(models, timed.values())
     return classes, [
         Evaluation(
             model.prepared,
@@ -184,18 +185,16 @@ def _found(
     return images
 
 
-def _times_ms(models: Sequence[_Model], images: Sequence[LabelledImage]) -> list[NDArray[np.float64]]:
-    """The times of each model in the same images; images that cannot be read again have none."""
-    times = [found for stored in images if (found := _times_in_image_ms(models, stored))]
+def _times_ms(models: Sequence[_Model], images: Iterable[LabelledImage]) -> list[NDArray[np.float64]]:
+    """The times of each model in the same images; images that cannot be read again have none.
+
+    Of each image the shorter of two times, run in the order ABBA, so that no model gains from its place.
+    """
+    times: list[list[float]] = []
+    for stored in images:
+        with suppress(ImageError, InferenceError):
+            image = stored.load()
+            there = [model.time_ms(image) for model in models]
+            back = [model.time_ms(image) for model in reversed(models)]
+            times.append(list(map(min, there, reversed(back))))
     return list(np.array(times, np.float64).reshape(-1, len(models)).T)
-
-
-def _times_in_image_ms(models: Sequence[_Model], stored: LabelledImage) -> list[float]:
-    """The shorter of two times of each model, run in the order ABBA, so that none gains from its place."""
-    try:
-        image = stored.load()
-        there = [model.time_ms(image) for model in models]
-        back = [model.time_ms(image) for model in reversed(models)]
-    except (ImageError, InferenceError):
-        return []
-    return list(map(min, there, reversed(back)))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import (
-    MAX_BOXES_PER_IMAGE,
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
@@ -20,6 +20,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     DataError,
     Labels,
     Problems,
+    check_box_count,
     check_count,
 )
 from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
@@ -82,8 +83,7 @@ def labelled_data(source: Path, options: DataOptions, problems: Problems) -> Ite
     else:
         folder = read_yolo_folder(source, problems, split=options.split, root=options.root)
     images = [
-        LabelledImage(number, ImageFile(image.path), image.labels)
-        for number, image in enumerate(folder.images)
+        LabelledImage(number, ImageFile(path), labels) for number, (path, labels) in enumerate(folder.images)
     ]
     yield LabelledData(kind, folder.class_names, len(images), lambda: images)
 
@@ -95,13 +95,18 @@ def _labelled_recording(recording: Recording, options: DataOptions, problems: Pr
     RecordingError, and DataError if there are no detections that can be used, or more than the limits.
     """
     topic = recording.image_topic(options.topic)
-    truth_topic = _truth_topic(recording, options.truth_topic)
-    class_names = _label_info(recording, truth_topic, problems)
+    if not (topics := recording.topics(_DETECTIONS)):
+        raise DataError(
+            f"{recording.path}: there are no detections ({_DETECTIONS}) in it to compare with. Record the "
+            "corrected detections together with the images, or merge both recordings with `ros2 bag convert`."
+        )
+    truth = recording.one_of(topics, options.truth_topic, what="detection topic", option="--truth-topic")
+    class_names = _label_info(recording, truth, problems)
     class_ids = {name: index for index, name in enumerate(class_names)}
-    labels = _labels(recording, truth_topic, class_ids, not class_ids, problems)
+    labels = _labels(recording, truth, class_ids, not class_ids, problems)
     if not labels:
         raise DataError(
-            f"{recording.path}: none of {truth_topic.count} messages on {truth_topic.name} can be used. "
+            f"{recording.path}: none of {truth.count} messages on {truth.name} can be used. "
             f"{problems.summary}".strip()
         )
     told = iter([problems])  # the images without labels are counted once
@@ -112,19 +117,10 @@ def _labelled_recording(recording: Recording, options: DataOptions, problems: Pr
     return LabelledData("recording", tuple(class_ids), min(topic.count, len(labels)), images)
 
 
-def _truth_topic(recording: Recording, name: str | None) -> RecordedTopic:
-    if not (topics := recording.topics(_DETECTIONS)):
-        raise DataError(
-            f"{recording.path}: there are no detections ({_DETECTIONS}) in it to compare with. Record the "
-            "corrected detections together with the images, or merge both recordings with `ros2 bag convert`."
-        )
-    return recording.one_of(topics, name, what="detection topic", option="--truth-topic")
-
-
-def _label_info(recording: Recording, truth_topic: RecordedTopic, problems: Problems) -> tuple[str, ...]:
-    """The class names of the LabelInfo in the namespace of `truth_topic`, or of the only one; else none."""
+def _label_info(recording: Recording, truth: RecordedTopic, problems: Problems) -> tuple[str, ...]:
+    """The class names of the LabelInfo in the namespace of `truth`, or of the only one; else none."""
     topics = recording.topics(_LABEL_INFO)
-    near = [topic for topic in topics if truth_topic.name.startswith(f"{topic.name.rpartition('/')[0]}/")]
+    near = [topic for topic in topics if truth.name.startswith(f"{topic.name.rpartition('/')[0]}/")]
     near.sort(key=lambda topic: len(topic.name), reverse=True)
     for topic in near or (topics if len(topics) == 1 else []):
         for recorded in recording.messages(topic):
@@ -141,15 +137,11 @@ def _label_info(recording: Recording, truth_topic: RecordedTopic, problems: Prob
 
 
 def _labels(
-    recording: Recording,
-    topic: RecordedTopic,
-    class_ids: dict[str, int],
-    may_add: bool,
-    problems: Problems,
+    recording: Recording, topic: RecordedTopic, class_ids: dict[str, int], may_add: bool, problems: Problems
 ) -> dict[Stamp, Labels]:
     """The labels by stamp. If `may_add`, class names that are new are added to `class_ids`."""
     labels: dict[Stamp, Labels] = {}
-    counts: Counter[Stamp] = Counter()
+    seen: Counter[Stamp] = Counter()
     objects = 0
     for number, recorded in enumerate(recording.messages(topic)):
         check_count(recording.path, f"messages on {topic.name[:200]}", number + 1, MAX_IMAGES)
@@ -157,8 +149,8 @@ def _labels(
             problems.progress(f"labels: {number} messages")
         try:
             stamp = recorded.stamp
-            counts[stamp] += 1
-            if counts[stamp] > 1:
+            seen[stamp] += 1
+            if seen[stamp] > 1:
                 raise DataError("other detections have the same stamp: which image they are of is unknown")
             boxes = _boxes(recorded.message.detections, class_ids, may_add=may_add)
         except (ImageError, DataError, ClassNamesError) as error:
@@ -167,35 +159,31 @@ def _labels(
         labels[stamp] = Labels(boxes)
         objects += len(boxes)
         check_count(recording.path, "objects in a data set", objects, MAX_OBJECTS)
-    return {stamp: found for stamp, found in labels.items() if counts[stamp] == 1}
+    return {stamp: found for stamp, found in labels.items() if seen[stamp] == 1}
 
 
 def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxes:
-    if len(detections) > MAX_BOXES_PER_IMAGE:
-        raise DataError(f"found {len(detections)} objects, more than {MAX_BOXES_PER_IMAGE}")
-    corners, ids = [], []
+    check_box_count(len(detections))
+    names = []
     for detection in detections:
-        corners.append(_corners(detection.bbox))
         if not len(detection.results):
             raise DataError("a detection has no class")
         best = max(detection.results, key=lambda result: result.hypothesis.score)
-        name = safe_name(best.hypothesis.class_id)
+        names.append(safe_name(best.hypothesis.class_id))
         if may_add and len(class_ids) < MAX_CLASSES:
-            class_ids.setdefault(name, len(class_ids))
-        if name not in class_ids:
-            raise DataError(f"the class '{name[:40]}' is not in its label_info")
-        ids.append(class_ids[name])
-    return Boxes.of(corners, ids)
-
-
-def _corners(bbox: Any) -> tuple[float, float, float, float]:
-    x, y = bbox.center.position.x, bbox.center.position.y
-    width, height = bbox.size_x, bbox.size_y
-    if not all(math.isfinite(value) and abs(value) <= _MAX_PX for value in (x, y, width, height)):
+            class_ids.setdefault(names[-1], len(class_ids))
+        if names[-1] not in class_ids:
+            raise DataError(f"the class '{names[-1][:40]}' is not in its label_info")
+    boxes = [detection.bbox for detection in detections]
+    centres = np.array([(box.center.position.x, box.center.position.y) for box in boxes]).reshape(-1, 2)
+    sizes = np.array([(box.size_x, box.size_y) for box in boxes]).reshape(-1, 2)
+    if not (np.abs([centres, sizes]) <= _MAX_PX).all():  # NaN is not, either
         raise DataError("a box has coordinates that are not finite")
-    if not (width > 0 and height > 0):
+    if not (sizes > 0).all():
+        width, height = sizes[(sizes <= 0).any(axis=1)][0]
         raise DataError(f"a box has a size of {width:g} x {height:g} pixels")
-    return x - width / 2, y - height / 2, x + width / 2, y + height / 2
+    corners = np.concatenate((centres - sizes / 2, centres + sizes / 2), axis=1)
+    return Boxes.of(corners, [class_ids[name] for name in names])
 
 
 def _images(

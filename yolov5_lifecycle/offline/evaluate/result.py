@@ -5,17 +5,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.bootstrap import RESAMPLES, SEED, Interval, differences, interval
+from yolov5_lifecycle.evaluation.bootstrap import RESAMPLES, SEED, differences, interval
 from yolov5_lifecycle.evaluation.curves import draw_confusion_matrix, draw_f1_curve, draw_pr_curve
-from yolov5_lifecycle.evaluation.figures import MIN_IOU, Row, confusion_matrix, occurring, rows
+from yolov5_lifecycle.evaluation.figures import MIN_IOU, confusion_matrix, occurring, rows
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.matching import (
     MAX_DETECTIONS,
@@ -26,7 +25,7 @@ from yolov5_lifecycle.evaluation.matching import (
     match,
     truth_dataset,
 )
-from yolov5_lifecycle.evaluation.thresholds import Goal, Threshold, chosen_thresholds, threshold_yaml
+from yolov5_lifecycle.evaluation.thresholds import Goal, chosen_thresholds, threshold_yaml
 from yolov5_lifecycle.offline.evaluate.evaluating import Evaluation
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.value_text import value_text
@@ -43,101 +42,38 @@ _HEADS = {"precision": "precision", "recall": "recall", "f1": "F1", "ap50": "mAP
 _MAX_NAME = 40
 
 
-@dataclass(frozen=True, eq=False)
 class EvaluationResult:
-    """The figures of `evaluations` of one data set; a second one is compared with the first."""
+    """The figures of `evaluations` of one data set, of `classes`; a second one is compared with the first.
 
-    source: Path
-    kind: str
-    classes: EvaluatedClasses
-    evaluations: Sequence[Evaluation]
-    problems: Problems
-    goal: Goal | None
+    `report` is what report.json has; docs/evaluation.md explains it.
+    """
 
-    @cached_property
-    def _matches(self) -> list[Matches]:
-        return [match(evaluation.images, self.classes.names) for evaluation in self.evaluations]
-
-    @cached_property
-    def _rows(self) -> list[list[Row]]:
-        """For each evaluation the figures of all classes, then of each."""
-        thresholds = [evaluation.thresholds for evaluation in self.evaluations]
-        return list(map(rows, self._matches, thresholds))
-
-    @cached_property
-    def _confusion(self) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-        """See `occurring`."""
-        first = self.evaluations[0]
-        counts = confusion_matrix(first.images, self._matches[0], first.thresholds)
-        return occurring(counts, self.classes.names)
-
-    @cached_property
-    def _differences(self) -> list[dict[str, Interval]]:
-        """For all classes, then for each, the intervals by metric; empty without a comparison."""
-        if len(self.evaluations) < 2:
-            return []
-        return differences(self._matches, [evaluation.thresholds for evaluation in self.evaluations])
-
-    @cached_property
-    def _speed_verdict(self) -> str | None:
-        """Whether the second model is `better` or `worse`; None without a comparison or times."""
-        if len(self.evaluations) < 2 or not len(self.evaluations[0].times_ms):
-            return None
-        # Shorter is better; a small difference is due to the moment rather than to the models.
-        first, second = (evaluation.times_ms for evaluation in self.evaluations)
-        drawn = np.random.default_rng(SEED).integers(0, len(first), (RESAMPLES, len(first)))
-        samples = (_log_speed(first[drawn]), _log_speed(second[drawn]))
-        figures = (float(_log_speed(first)), float(_log_speed(second)))
-        return interval(samples, figures, len(first), margin=_SPEED_MARGIN).verdict
-
-    @cached_property
-    def _chosen(self) -> list[Threshold]:
-        return [] if self.goal is None else chosen_thresholds(self._matches[0], self.goal)
-
-    def text(self, node: str) -> str:
-        """What is printed; `node`: the full name of the node that thresholds are for."""
-        parts = [self._head(), table(self._rows[0])]
-        if len(self._confusion[1]) <= _MAX_CONFUSED:
-            parts.append(confusion_table(*self._confusion))
-        if self._differences:
-            names = [row.name for row in self._rows[0]]
-            parts.append(comparison_table(names, self._differences, _COMPARED) + self._speed_line())
-        if self.goal is not None:
-            parts.append(threshold_yaml(self._chosen, self.goal, node))
-        return "\n".join(parts)
-
-    def write(self, folder: Path) -> None:
-        """Write report, curves, and the detections and ground truth behind them to the new `folder`.
-
-        Raises OSError.
-        """
-        first = self.evaluations[0]
-        folder.mkdir()
-        _write_json(folder / "report.json", _without_nan(self._report()), indent=2)
-        _write_json(folder / "ground_truth.json", truth_dataset(first.images, self.classes.names))
-        names = ("detections.json", "detections_other.json")
-        for name, evaluation in zip(names, self.evaluations, strict=False):
-            fields = ("image_id", "category_id", "bbox", "score")
-            found = found_annotations(evaluation.images)
-            _write_json(folder / name, [{field: one[field] for field in fields} for one in found])
-        draw_pr_curve(folder / "pr_curve.png", self._matches[0])
-        draw_f1_curve(folder / "f1_curve.png", self._matches[0], first.settings.confidence_threshold)
-        draw_confusion_matrix(folder / "confusion_matrix.png", *self._confusion)
-
-    def _report(self) -> dict[str, Any]:
-        """What report.json has; docs/evaluation.md explains it."""
-        first = self.evaluations[0]
-        counts, names = self._confusion
-        all_classes, *classes = map(_row_as_json, self._rows[0])
-        report: dict[str, Any] = {
+    def __init__(
+        self,
+        source: Path,
+        kind: str,
+        classes: EvaluatedClasses,
+        evaluations: Sequence[Evaluation],
+        problems: Problems,
+        goal: Goal | None,
+    ) -> None:
+        self._names = classes.names
+        self._evaluations = evaluations
+        self._problems = problems
+        self._goal = goal
+        self._matches = [match(evaluation.images, self._names) for evaluation in evaluations]
+        self._chosen = [] if goal is None else chosen_thresholds(self._matches[0], goal)
+        first = evaluations[0]
+        all_classes, *of_class = _rows_as_json(self._matches[0], first)
+        self.report: dict[str, Any] = {
             "format": FORMAT,
             "data": {
-                "path": str(self.source),
-                "kind": self.kind,
+                "path": str(source),
+                "kind": kind,
                 "images": len(first.images),
                 "objects": all_classes["objects"],
-                "classes_left_out": self.classes.left_out,
-                "problems": {"counts": self.problems.counts, "first": self.problems.first},
+                "classes_left_out": classes.left_out,
+                "problems": {"counts": problems.counts, "first": problems.first},
             },
             "model": _model(first),
             "evaluation": {
@@ -146,61 +82,110 @@ class EvaluationResult:
                 "max_detections_per_class": MAX_DETECTIONS,
             },
             "all": all_classes,
-            "classes": classes,
-            "confusion_matrix": {
-                "objects": [*names, "no object"],
-                "detected_as": [*names, "nothing"],
-                "counts": counts.tolist(),
-            },
+            "classes": of_class,
+            "confusion_matrix": self._confusion(),
         }
-        if self._differences:
-            report["comparison"] = self._comparison()
-        if self.goal is not None:
-            chosen = [{"name": one.name, "threshold": one.value, **one.figures} for one in self._chosen]
-            report["thresholds"] = {"goal": str(self.goal), "all": chosen[0], "classes": chosen[1:]}
-        return report
+        if len(evaluations) > 1:
+            self.report["comparison"] = self._comparison()
+        if goal is not None:
+            together, *each = (
+                {"name": one.name, "threshold": one.value, **one.figures} for one in self._chosen
+            )
+            self.report["thresholds"] = {"goal": str(goal), "all": together, "classes": each}
+
+    def _confusion(self) -> dict[str, Any]:
+        first = self._evaluations[0]
+        matrix = confusion_matrix(first.images, self._matches[0], first.thresholds)
+        counts, names = occurring(matrix, self._names)
+        objects, detected_as = [*names, "no object"], [*names, "nothing"]
+        return {"objects": objects, "detected_as": detected_as, "counts": counts.tolist()}
 
     def _comparison(self) -> dict[str, Any]:
-        first, second = self.evaluations
-        pairs = zip(self._rows[1], self._differences, strict=True)
+        first, second = self._evaluations
+        intervals = differences(self._matches, [first.thresholds, second.thresholds])
+        one, other = first.settings.model_dump(mode="json"), second.settings.model_dump(mode="json")
         return {
             "model": _model(second),
             "resamples": RESAMPLES,
-            "changed": _changed(first, second),
+            "changed": {name: value for name, value in other.items() if value != one[name]},
             "rows": [
-                {**_row_as_json(row), "intervals": {metric: asdict(one) for metric, one in found.items()}}
-                for row, found in pairs
+                {**row, "intervals": {metric: asdict(found) for metric, found in of_class.items()}}
+                for row, of_class in zip(_rows_as_json(self._matches[1], second), intervals, strict=True)
             ],
-            "speed_verdict": self._speed_verdict,
+            "speed_verdict": _speed_verdict(first.times_ms, second.times_ms),
         }
 
+    def text(self, node: str) -> str:
+        """What is printed; `node`: the full name of the node that thresholds are for."""
+        parts = [self._head(), _table([self.report["all"], *self.report["classes"]])]
+        if len(self.report["confusion_matrix"]["counts"]) <= _MAX_CONFUSED + 1:
+            parts.append(_confusion_table(**self.report["confusion_matrix"]))
+        if comparison := self.report.get("comparison"):
+            parts.append(_comparison_table(comparison["rows"]) + self._differences())
+        if self._goal is not None:
+            parts.append(threshold_yaml(self._chosen, self._goal, node))
+        return "\n".join(parts)
+
+    def write(self, folder: Path) -> None:
+        """Write report, curves, and the detections and ground truth behind them to the new `folder`.
+
+        Raises OSError.
+        """
+        first = self._evaluations[0]
+        folder.mkdir()
+        _write_json(folder / "report.json", _without_nan(self.report), indent=2)
+        _write_json(folder / "ground_truth.json", truth_dataset(first.images, self._names))
+        names = ("detections.json", "detections_other.json")
+        for name, evaluation in zip(names, self._evaluations, strict=False):
+            fields = ("image_id", "category_id", "bbox", "score")
+            found = found_annotations(evaluation.images)
+            _write_json(folder / name, [{field: one[field] for field in fields} for one in found])
+        draw_pr_curve(folder / "pr_curve.png", self._matches[0])
+        draw_f1_curve(folder / "f1_curve.png", self._matches[0], first.settings.confidence_threshold)
+        draw_confusion_matrix(folder / "confusion_matrix.png", **self.report["confusion_matrix"])
+
     def _head(self) -> str:
-        first = self.evaluations[0]
-        facts = first.model.facts
+        data, model = self.report["data"], self.report["model"]
+        first = self._evaluations[0]
         lines = [
-            f"model   {in_one_line(facts['weights'])}, {facts['runtime']} on {facts['device']}, "
-            f"{facts['precision']}, image size {first.settings.image_size}",
-            f"data    {in_one_line(str(self.source))}: {len(first.images)} images, "
-            f"{self._rows[0][0].objects} objects",
-            f"speed   {_median_ms(first)} per image, the median of {len(first.times_ms)}",
+            f"model   {in_one_line(model['weights'])}, {model['runtime']} on {model['device']}, "
+            f"{model['precision']}, image size {first.settings.image_size}",
+            f"data    {in_one_line(data['path'])}: {data['images']} images, {data['objects']} objects",
+            f"speed   {_median_ms(model)} per image, the median of {len(first.times_ms)}",
             f"counted at confidence_threshold {_thresholds(first)} and IoU {MIN_IOU}",
         ]
-        if self.classes.left_out:
-            shown = ", ".join(in_one_line(name, 40) for name in self.classes.left_out[:_MAX_CONFUSED])
+        if left_out := data["classes_left_out"]:
+            shown = ", ".join(in_one_line(name, 40) for name in left_out[:_MAX_CONFUSED])
             lines.append(f"left out, not in the model or not selected by its settings: {shown}")
-        if self.problems.counts:
-            lines.append(f"not evaluated: {self.problems.summary}")
+        if self._problems.counts:
+            lines.append(f"not evaluated: {self._problems.summary}")
         return "".join(f"{line}\n" for line in lines)
 
-    def _speed_line(self) -> str:
-        first, second = self.evaluations
-        if not self._speed_verdict:
-            return ""
-        words = {"better": "faster", "worse": "slower"}
-        verdict = words.get(self._speed_verdict, self._speed_verdict)
-        changed = _changed(first, second)
-        listed = "".join(f"OTHER has {name}={in_one_line(_text(value))}\n" for name, value in changed.items())
-        return f"{listed}speed  {_median_ms(first)}, OTHER {_median_ms(second)}: {verdict}\n"
+    def _differences(self) -> str:
+        """The settings in which the second model differs, and which one is faster."""
+        comparison = self.report["comparison"]
+        # As they are written after `--compare NAME=`.
+        changed = {
+            name: value if isinstance(value, str) else value_text(value)
+            for name, value in comparison["changed"].items()
+        }
+        lines = [f"OTHER has {name}={in_one_line(value)}" for name, value in changed.items()]
+        if verdict := comparison["speed_verdict"]:
+            verdict = {"better": "faster", "worse": "slower"}.get(verdict, verdict)
+            times = f"{_median_ms(self.report['model'])}, OTHER {_median_ms(comparison['model'])}"
+            lines.append(f"speed  {times}: {verdict}")
+        return "".join(f"{line}\n" for line in lines)
+
+
+def _speed_verdict(first_ms: NDArray[np.float64], second_ms: NDArray[np.float64]) -> str | None:
+    """Whether the second model is `better` or `worse`; None without times."""
+    if not len(first_ms):
+        return None
+    # Shorter is better; a small difference is due to the moment rather than to the models.
+    drawn = np.random.default_rng(SEED).integers(0, len(first_ms), (RESAMPLES, len(first_ms)))
+    samples = (_log_speed(first_ms[drawn]), _log_speed(second_ms[drawn]))
+    figures = (float(_log_speed(first_ms)), float(_log_speed(second_ms)))
+    return interval(samples, figures, len(first_ms), margin=_SPEED_MARGIN).verdict
 
 
 def _log_speed(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -221,22 +206,14 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _row_as_json(row: Row) -> dict[str, Any]:
-    """Figures and counts of a class."""
-    counts = asdict(row)
-    figures = counts.pop("figures")
-    return {**counts, "missed": row.objects - row.right, **figures}
-
-
-def _text(value: object) -> str:
-    """`value` of a setting as it is written after `--compare NAME=`."""
-    return value if isinstance(value, str) else value_text(value)
-
-
-def _changed(first: Evaluation, second: Evaluation) -> Mapping[str, Any]:
-    """The settings of the second model that differ from those of the first."""
-    one, other = first.settings.model_dump(mode="json"), second.settings.model_dump(mode="json")
-    return {name: value for name, value in other.items() if value != one[name]}
+def _rows_as_json(matches: Matches, evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Figures and counts of all classes, then of each."""
+    found = []
+    for row in rows(matches, evaluation.thresholds):
+        counts = asdict(row)
+        figures = counts.pop("figures")
+        found.append({**counts, "missed": row.objects - row.right, **figures})
+    return found
 
 
 def _model(evaluation: Evaluation) -> dict[str, Any]:
@@ -260,55 +237,52 @@ def _thresholds(evaluation: Evaluation) -> str:
     return f"{usual:g} (own thresholds for {others} classes)" if others else f"{usual:g}"
 
 
-def _median_ms(evaluation: Evaluation) -> str:
-    if not len(evaluation.times_ms):
-        return "unknown"
-    return f"{float(np.median(evaluation.times_ms)):.1f} ms"
+def _median_ms(model: Mapping[str, Any]) -> str:
+    median = model["speed_ms"]["median"]
+    return "unknown" if median is None else f"{median:.1f} ms"
 
 
-def table(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Figures of all classes together and of each that has objects or detections, in columns."""
-    shown = [row for row in rows if row.objects or row.right or row.wrong]
+    shown = [row for row in rows if row["objects"] or row["right"] or row["wrong"]]
     cells = [["class", "images", "objects", *_HEADS.values()]] + [
-        [_named(row.name), str(row.images), str(row.objects), *map(_shown, row.figures.values())]
+        [
+            in_one_line(row["name"], _MAX_NAME),
+            str(row["images"]),
+            str(row["objects"]),
+            *(_shown(row[metric]) for metric in _HEADS),
+        ]
         for row in shown
     ]
     absent = len(rows) - len(shown)
-    return _aligned(cells) + (
-        f"{absent} more classes have neither objects nor detections\n" if absent else ""
-    )
+    more = f"{absent} more classes have neither objects nor detections\n" if absent else ""
+    return _aligned(cells) + more
 
 
-def comparison_table(
-    names: Sequence[str], differences: Sequence[Mapping[str, Interval]], shown: Sequence[str]
-) -> str:
-    """For each class and each metric of `shown`: both models, the interval of the difference, the verdict."""
+def _comparison_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """For each class and metric of _COMPARED: both models, the interval of the difference, the verdict."""
     cells = [["class", "figure", "WEIGHTS", "OTHER", "difference, 95 %", "OTHER is"]]
-    for name, of_class in zip(names, differences, strict=True):
-        for metric in shown:
-            found = of_class[metric]
-            if found.verdict:
-                both = f"{found.difference_low:+.3f} to {found.difference_high:+.3f}"
-                figures = [_shown(found.first), _shown(found.second), both, found.verdict]
-                cells.append([_named(name), _HEADS[metric], *figures])
+    for row in rows:
+        for metric in _COMPARED:
+            found = row["intervals"][metric]
+            if found["verdict"]:
+                both = f"{found['difference_low']:+.3f} to {found['difference_high']:+.3f}"
+                figures = [_shown(found["first"]), _shown(found["second"]), both, found["verdict"]]
+                cells.append([in_one_line(row["name"], _MAX_NAME), _HEADS[metric], *figures])
     return _aligned(cells)
 
 
-def confusion_table(counts: NDArray[np.int64], names: Sequence[str]) -> str:
+def _confusion_table(objects: Sequence[str], detected_as: Sequence[str], counts: Sequence[list[int]]) -> str:
     """Numbers of objects of each class, a row each, by what they were detected as."""
-    cells = [["object \\ detected as", *map(_named, names), "nothing"]]
-    for name, row in zip([*names, "no object"], counts.tolist(), strict=True):
-        cells.append([_named(name), *map(str, row)])
+    cells = [["object \\ detected as", *(in_one_line(name, _MAX_NAME) for name in detected_as)]]
+    for name, row in zip(objects, counts, strict=True):
+        cells.append([in_one_line(name, _MAX_NAME), *map(str, row)])
     cells[-1][-1] = ""
     return _aligned(cells)
 
 
 def _shown(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
-
-
-def _named(name: str) -> str:
-    return in_one_line(name, _MAX_NAME)
 
 
 def _aligned(cells: Sequence[Sequence[str]]) -> str:
