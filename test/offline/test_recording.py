@@ -97,7 +97,7 @@ def test_fewer_images_than_a_recording_claims_are_an_exit_code_and_counted_in_a_
     assert (
         main([str(short), "--output", str(tmp_path / "found"), "--jobs", "1", *SET_MODEL]) == EXIT_INCOMPLETE
     )
-    assert "3 missing" in capsys.readouterr().err
+    assert "4 of 7 expected" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

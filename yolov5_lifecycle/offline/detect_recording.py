@@ -55,7 +55,7 @@ def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStat
             _check_name(export.path)
         new_bag = None if export.suffix else partial(_DetectionBag, export, recording.storage)
         statistics = export_images(images, topic.count, export, load, new_bag)
-    statistics.missing = max(0, topic.count - statistics.balance.received)
+    statistics.missing = max(0, topic.count - statistics.outcomes.total())
     return statistics
 
 
