@@ -100,6 +100,14 @@ def test_fewer_images_than_a_recording_claims_are_an_exit_code_and_counted_in_a_
     assert "4 of 7 expected" in capsys.readouterr().err
 
 
+def test_metadata_may_claim_more_images_than_there_are(tmp_path: Path) -> None:
+    drive = record(tmp_path / "drive", [raw(0)], storage=SQLITE)
+    metadata = (drive / "metadata.yaml").read_text()
+    (drive / "metadata.yaml").write_text(metadata.replace("message_count: 1", "message_count: 5"))
+    with open_recording(drive) as recording:
+        assert recording.image_topic().count == 5
+
+
 @pytest.mark.parametrize(
     ("content", "told"),
     [
@@ -114,7 +122,9 @@ def test_fewer_images_than_a_recording_claims_are_an_exit_code_and_counted_in_a_
             "unpacks to more bytes than it claims",
             id="a chunk with more than it claims",
         ),
-        pytest.param(mcap([chunk(CAMERA + ALL, claim=2**40)]), "a record ends after", id="a chunk with less"),
+        pytest.param(
+            mcap([chunk(CAMERA + ALL, claim=2**20)]), "unpacks to fewer bytes", id="a chunk with less"
+        ),
         pytest.param(
             mcap([CAMERA, IMAGES[0][:1] + b"\xff" * 7 + IMAGES[0][8:]]),
             "a record of",
@@ -146,20 +156,33 @@ def test_what_is_no_recording_is_refused_with_the_reason(
     assert told in str(raised.value)
 
 
-def test_a_message_that_is_too_large_is_rejected_before_it_takes_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_message_that_is_too_large_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stored_messages, "MAX_MESSAGE_BYTES", len(CONTENTS[0]))
-    giant = message(1, 0, bytes(30_000_000))
-    (tmp_path / "drive.mcap").write_bytes(mcap([chunk(CAMERA + giant + ALL, "lz4")]))
-    del giant
-    tracemalloc.start()
+    giant = message(1, 0, bytes(1_000_000))
+    (tmp_path / "drive.mcap").write_bytes(mcap([CAMERA, giant, chunk(giant + ALL, "lz4")]))
     found = images(tmp_path / "drive.mcap")
-    peak_bytes = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert [image.data for image in found[1:]] == CONTENTS
+    assert [image.data for image in found] == [None, None, *CONTENTS]
     with pytest.raises(ImageError, match="at most 256 MiB"):
         found[0].load()
+
+
+@pytest.mark.parametrize(
+    ("claim", "told"),
+    [
+        pytest.param(None, "a chunk of 30", id="honest"),
+        pytest.param(1000, "unpacks to more bytes than it claims", id="false"),
+    ],
+)
+def test_a_chunk_that_is_too_large_is_refused_before_it_takes_memory(
+    claim: int | None, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stored_messages, "MAX_CHUNK_BYTES", 1_000_000)
+    (tmp_path / "drive.mcap").write_bytes(mcap([chunk(message(1, 0, bytes(30_000_000)), "lz4", claim=claim)]))
+    tracemalloc.start()
+    with pytest.raises(RecordingError, match=told):
+        images(tmp_path / "drive.mcap")
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
     assert peak_bytes < 15_000_000
 
 
@@ -247,7 +270,9 @@ def metadata_with(text: str, folder: Path) -> Path:
             partial(metadata_with, "[" + "[]," * 60_000), "more than 50,000 values", id="many lists"
         ),
         pytest.param(partial(metadata_with, "[" * 100), "nested more than 20 deep", id="deep lists"),
-        pytest.param(partial(metadata_with, "a: 1"), "no list relative_file_paths", id="other metadata"),
+        pytest.param(
+            partial(metadata_with, "a: 1"), "rosbag2_bagfile_information: Field required", id="other"
+        ),
     ],
 )
 def test_a_hostile_recording_is_refused(

@@ -13,6 +13,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from backports import zstd
+from pydantic import BaseModel, NonNegativeInt, ValidationError
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -66,8 +67,6 @@ TYPES = _typestore()
 MAX_METADATA_BYTES = 16 << 20
 _FREE_SHARE = 0.9
 _BLOCK_BYTES = 1 << 20
-_DIGITS = 15
-"""Of a number of messages that is taken for one."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """A message of ROS 2 begins with a zero."""
 _Storage = McapFile | SqliteFile
@@ -76,6 +75,26 @@ _MAX_LISTED = 50
 """Topics in an error."""
 Stamp = tuple[int, int]
 """Seconds and nanoseconds in the header."""
+
+
+class _TopicMetadata(BaseModel):
+    name: str
+
+
+class _TopicCount(BaseModel):
+    topic_metadata: _TopicMetadata
+    message_count: NonNegativeInt
+
+
+class _BagInformation(BaseModel):
+    relative_file_paths: list[str]
+    topics_with_message_count: list[_TopicCount] = []
+
+
+class _Metadata(BaseModel):
+    """The part of metadata.yaml that is read."""
+
+    rosbag2_bagfile_information: _BagInformation
 
 
 class RecordingError(ValueError):
@@ -268,33 +287,22 @@ def _files_of(path: Path) -> tuple[list[Path], Mapping[str, int]]:
         return [path], {}
     try:
         described = texts_of(read_regular_file(path / METADATA, MAX_METADATA_BYTES))
+        bag = _Metadata.model_validate(described).rosbag2_bagfile_information
     except FileNotFoundError:
         raise StorageError(
             f"{METADATA} is missing, which is written when recording ends: "
             f"{shell_command('ros2', 'bag', 'reindex', path)}"
         ) from None
+    except ValidationError as error:
+        problem = error.errors()[0]
+        raise StorageError(f"{METADATA}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from None
     except ValueError as error:
         raise StorageError(f"{METADATA}: {error}") from None
-    bag = _mapping(_mapping(described).get("rosbag2_bagfile_information"))
-    names = bag.get("relative_file_paths")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise StorageError(f"{METADATA} has no list relative_file_paths")
+    claimed = Counter[str]()
+    for topic in bag.topics_with_message_count:
+        claimed[topic.topic_metadata.name] += topic.message_count
     # Written with the folder in front by early versions; a file elsewhere is not read.
-    return [path / PurePath(name).name for name in names], _claimed(bag)
-
-
-def _claimed(bag: Mapping[str, object]) -> Counter[str]:
-    counts: Counter[str] = Counter()
-    topics = bag.get("topics_with_message_count")
-    for topic in map(_mapping, topics if isinstance(topics, list) else []):
-        name, count = _mapping(topic.get("topic_metadata")).get("name"), topic.get("message_count")
-        if isinstance(name, str) and isinstance(count, str) and count.isdecimal() and len(count) <= _DIGITS:
-            counts[name] += int(count)
-    return counts
-
-
-def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, dict) else {}
+    return [path / PurePath(name).name for name in bag.relative_file_paths], claimed
 
 
 def _open_storage(path: Path, stack: ExitStack) -> _Storage:
