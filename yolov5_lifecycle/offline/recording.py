@@ -22,7 +22,6 @@ from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.input_file import read_regular_file
-from yolov5_lifecycle.offline.image_files import DistinctNames
 from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_mcap
 from yolov5_lifecycle.offline.stored_messages import (
     CDR,
@@ -141,22 +140,21 @@ class RecordedMessage:
 
 @dataclass(frozen=True)
 class RecordedImage(RecordedMessage):
-    """A recorded image message, counted from 0 on its topic, and the names of those before it."""
+    """A recorded image message, counted from 0 on its topic."""
 
-    frame: int = field(default=0, kw_only=True)
-    names: DistinctNames = field(default_factory=DistinctNames, kw_only=True)
+    number: int = field(default=0, kw_only=True)
 
     @property
     def identity(self) -> dict[str, str | int]:
         """The stamp of its header, which others may have, too, and its number; raises ImageError."""
         seconds, nanoseconds = self.stamp
-        return {"stamp_ns": seconds * 10**9 + nanoseconds, "frame": self.frame}
+        return {"stamp_ns": seconds * 10**9 + nanoseconds, "frame": self.number}
 
     @property
     def stem(self) -> str:
-        """The name of files about it: its stamp, and its number if one before has it; ask in order."""
+        """The name of files about it: its stamp, which others may have, too; raises ImageError."""
         seconds, nanoseconds = self.stamp
-        return self.names.of(f"{seconds}_{nanoseconds:09}", self.frame)
+        return f"{seconds}_{nanoseconds:09}"
 
     def load(self) -> ColourImage:
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
@@ -212,11 +210,8 @@ class Recording:
 
     def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
         """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""
-        names = DistinctNames()
-        return (
-            RecordedImage(*message, frame=frame, names=names)
-            for frame, message in enumerate(self._messages(topic))
-        )
+        messages = enumerate(self._messages(topic))
+        return (RecordedImage(*message, number=number) for number, message in messages)
 
     def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
         """Like `images` for any topic whose messages have a header."""
