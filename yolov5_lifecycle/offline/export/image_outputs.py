@@ -25,6 +25,9 @@ MIN_FREE_BYTES = 256 << 20
 """Of the disk: what crops leave free."""
 _MAX_NAME_LETTERS = 40
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+_HEADER_BYTES = 16
+_LENGTH_FOLLOWS = 1
+"""In place of the length of an MP4 box: 64 bits behind its name have it."""
 
 
 def write_image(path: Path, drawn: ColourImage) -> None:
@@ -93,10 +96,9 @@ class AnnotatedVideo(Sink):
         self._writer.write(np.ascontiguousarray(frame))
 
     def finish(self) -> None:
-        """Complete the file; raises OutputError if it lacks its end."""
+        """Complete the file; raises OutputError if it lacks its end, and OSError."""
         self.close()
-        # OpenCV's writer reports no full disk, but then the file has no index, or no number of frames.
-        if cv2.VideoCapture(str(self._path)).get(cv2.CAP_PROP_FRAME_COUNT) < 1:
+        if self._writer is not None and not is_whole_video(self._path):
             raise OutputError(
                 f"{self._path.name}: the video could not be written completely; is the disk full?"
             )
@@ -114,6 +116,39 @@ class AnnotatedVideo(Sink):
                 f"{self._path.name}: this OpenCV build cannot write this video format; try {others}."
             )
         return writer
+
+
+def is_whole_video(path: Path) -> bool:
+    """Whether the chunks of the .mp4 or .avi file end where it ends, with its index; raises OSError.
+
+    OpenCV's writer reports no error when the disk is full, and in a file without its last bytes it may find
+    all frames. But both formats are a sequence of chunks that begin with their length: a missing end shows.
+    """
+    is_avi = path.suffix.lower() == ".avi"
+    length_of = _riff_length if is_avi else _box_length
+    size, end, names = path.stat().st_size, 0, []
+    with path.open("rb") as file:
+        while end < size:
+            file.seek(end)
+            name, length = length_of(file.read(_HEADER_BYTES))
+            if length == 0:  # unknown while it was written
+                return False
+            names.append(name)
+            end += length
+    needed = {b"RIFF"} if is_avi else {b"mdat", b"moov"}
+    return end == size and needed <= set(names)
+
+
+def _riff_length(header: bytes) -> tuple[bytes, int]:
+    """Name and length of a chunk of an .avi file; files of more than 1 GB have several."""
+    length = int.from_bytes(header[4:8], "little")
+    return header[:4], length + 8 if length else 0
+
+
+def _box_length(header: bytes) -> tuple[bytes, int]:
+    """Name and length of a box of an .mp4 file."""
+    length = int.from_bytes(header[:4], "big")
+    return header[4:8], int.from_bytes(header[8:16], "big") if length == _LENGTH_FOLLOWS else length
 
 
 class Crops(Sink):
