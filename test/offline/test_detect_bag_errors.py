@@ -177,7 +177,7 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
         ),
         pytest.param(
             ["drive", "--annotated", "x.mp4", "--images", "--output", "x.csv"],
-            ["--annotated does not apply to recordings", "--images needs a recording as output"],
+            ["for recordings use --images", "--images needs a recording as output"],
             id="recording",
         ),
         pytest.param(
@@ -196,7 +196,7 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
         ),
         pytest.param(
             ["*.avi", "--output", "x", "--images", "--topic", "/x"],
-            ["--topic applies to recordings only, and these are videos; --images"],
+            ["--topic applies to recordings only; --images"],
             id="many videos",
         ),
         pytest.param(["a", "--jobs", "0"], ["expected a number of processes from 1 to"], id="no jobs"),
@@ -235,7 +235,8 @@ def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.delitem(sys.modules, "yolov5_lifecycle.offline.detect_recording", raising=False)
+    for importing in ("detect_recording", "many_recordings.ray_worker"):
+        monkeypatch.delitem(sys.modules, f"yolov5_lifecycle.offline.{importing}", raising=False)
     assert main([str(drive), "--output", str(drive.parent / "found"), *words, *SET_MODEL]) == 1
     assert f"{sys.executable} -m pip install {module.partition('.')[0]}" in capsys.readouterr().err
 

@@ -14,8 +14,8 @@ import pytest
 from support.recorded_scene import video
 
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.annotated_files import AnnotatedVideo, is_whole_video
 from yolov5_lifecycle.offline.detect_bag import main
+from yolov5_lifecycle.offline.export.image_outputs import AnnotatedVideo, is_whole_video
 from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile
 from yolov5_lifecycle.sources.frames import SourceError
 

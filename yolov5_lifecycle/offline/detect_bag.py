@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import os
-import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -24,12 +23,11 @@ from yolov5_lifecycle.offline.export.formats import (
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
 from yolov5_lifecycle.offline.many_recordings.results import plan_of
-from yolov5_lifecycle.offline.many_recordings.summary import BatchTerminal
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
 from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, is_video, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images, report
-from yolov5_lifecycle.process.missing_package import absence_of
+from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain, show_report
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
@@ -43,45 +41,49 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     parser = command_parser()
     arguments = parser.parse_args(argv)
     try:
-        if arguments.jobs or arguments.ray or are_many(arguments.sources):
-            return _run_many(parser, arguments)
-        (source,) = arguments.sources
-        if not source.exists():
-            return _complain(f"{source}: file or folder not found")
-        if problems := _conflicts(source, arguments):
-            parser.error("; ".join(problems))
-        with (
-            unwound_by_sigterm(),
-            closing(Terminal("detect_bag", shows_progress=bool(arguments.output))) as terminal,
-        ):
-            statistics = _run(source, arguments, terminal, prepare)
+        with unwound_by_sigterm():
+            if arguments.jobs or arguments.ray or are_many(arguments.sources):
+                return _run_many(parser, arguments)
+            return _run(parser, arguments, prepare)
     except BrokenPipeError:
         raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:
         listing = "".join(f"\n  {problem}" for problem in error.problems)
         return _complain(f"{len(error.problems)} problem(s) in the settings:{listing}")
-    except (ValueError, OSError, ImportError, DetectingError, InferenceError) as error:
+    except ImportError as error:
+        return _complain(import_problem(error))
+    except (ValueError, OSError, DetectingError, InferenceError) as error:
         return _complain(str(error))
     except KeyboardInterrupt:
         _complain("interrupted; unfinished output was removed")
         return 130
-    show_report(report(statistics))
-    if statistics.missing:
-        complain(
-            "detect_bag", f"{source}: {missing_images(statistics.expected, statistics.balance.received)}"
-        )
-    return EXIT_INCOMPLETE if statistics.missing else 0
 
 
-def _run(source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare) -> RunStatistics:
+def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace, prepare: Prepare) -> int:
+    (source,) = arguments.sources
+    if not source.exists():
+        return _complain(f"{source}: file or folder not found")
+    _check_arguments(parser, arguments, source)
+    with closing(Terminal("detect_bag", shows_progress=bool(arguments.output))) as terminal:
+        statistics = _detected(source, arguments, terminal, prepare)
+    lines = report(statistics.counts, statistics.objects, expected=statistics.expected)
+    show_report(f"{lines}rate        {statistics.rate_hz:.1f} images per second\n")
+    if not statistics.missing:
+        return 0
+    _complain(f"{source}: {missing_images(statistics.expected, statistics.outcomes.total())}")
+    return EXIT_INCOMPLETE
+
+
+def _detected(
+    source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare
+) -> RunStatistics:
     settings = _settings(arguments)
     export = _export(source, arguments)
     load = functools.partial(
         OfflineDetector, settings, terminal, with_masks=export.needs_masks, prepare=prepare
     )
     if is_recording(source):
-        _check_rosbags()
-        from yolov5_lifecycle.offline.detect_recording import write_recording as write
+        from yolov5_lifecycle.offline.detect_recording import write_recording as write  # rosbags is an extra
     else:
         write = write_files
     with export.whole() as unfinished:
@@ -114,35 +116,23 @@ def _export_to(path: Path | None, suffix: str, crops: Path | None, arguments: ar
     )
 
 
-def _check_rosbags() -> None:
-    """Say how to install rosbags if it cannot be imported."""
-    try:
-        import yolov5_lifecycle.offline.detect_recording  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            f"a package needed to read recordings is missing ({error}). Install it with "
-            f"{sys.executable} -m pip install rosbags"
-        ) from None
-
-
 def _settings(arguments: argparse.Namespace) -> Settings:
     return wanted_settings(arguments.params_file, arguments.assignments, arguments.node, arguments.camera)
 
 
 def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
-    if problems := _conflicts_of_many(arguments):
-        parser.error("; ".join(problems))
+    _check_arguments(parser, arguments, None)
     output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
     settings = _settings(arguments)
     sources = recordings_of(arguments.sources, output)
     export = _export_to(None, format_suffix(output), Path("crops") if arguments.crops else None, arguments)
-    if not all(is_video(source.path) for source in sources):
-        _check_rosbags()
-    elif problems := _without_recordings(arguments, "these are videos"):
-        parser.error("; ".join(problems))
+    if all(is_video(source.path) for source in sources):
+        _refuse(parser, _of_recordings(arguments))
+    else:
+        import yolov5_lifecycle.offline.detect_recording  # noqa: F401 - to say at once that rosbags is missing
     plan = plan_of(settings, output, export)
-    with unwound_by_sigterm(), closing(BatchTerminal()) as terminal:
-        new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
+    new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
+    with closing(Terminal("detect_bag", shows_progress=True)) as terminal:
         batch = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
     show_report(str(batch))
     return 0 if batch.is_complete else EXIT_INCOMPLETE
@@ -153,8 +143,6 @@ def _workers(jobs: int | None, ray: str | None, recordings: int) -> Sequence[Wor
     if ray is None:
         count = suitable_count(recordings, jobs)
         return [ProcessWorker(count) for _ in range(count)]
-    if absence := absence_of("ray"):
-        raise ImportError(f"--ray needs the package ray: {absence}")
     from yolov5_lifecycle.offline.many_recordings.ray_worker import RayWorker, connected
 
     processors = connected(ray)
@@ -166,50 +154,40 @@ def _complain(problem: str) -> int:
     return 1
 
 
-def _conflicts(source: Path, arguments: argparse.Namespace) -> list[str]:
-    """The arguments that contradict each other, for a single source."""
-    if is_recording(source):
-        problems = ["give --output, the new recording to write"] if arguments.output is None else []
-        if arguments.annotated:
-            problems.append("--annotated does not apply to recordings; use --images")
-    else:
-        problems = _without_recordings(arguments, f"{source} is not one")
-        if TRACK in arguments.assignments and has_still_images(source):
-            problems.append(f"{source} has still images; tracking needs a recording or a video")
-        if arguments.crops and arguments.output is None:
-            problems.append("--crops needs --output, beside which it puts the folder of crops")
-    return problems + _conflicts_with_format(arguments)
+def _check_arguments(
+    parser: argparse.ArgumentParser, arguments: argparse.Namespace, source: Path | None
+) -> None:
+    """Exit if arguments contradict each other; `source` None stands for many recordings or videos."""
+    is_bag = source is not None and is_recording(source)
+    is_file = source is not None and not is_bag
+    has_output, is_tracked = arguments.output is not None, TRACK in arguments.assignments
+    suffix = format_suffix(arguments.output) if has_output else ""
+    rules = {
+        "give --output, the folder for the results of many recordings or videos": not (source or has_output),
+        "give --output, the new recording to write": is_bag and not has_output,
+        "--annotated applies to a single video, image or folder of images; for recordings use --images": (
+            arguments.annotated and not is_file
+        ),
+        **(_of_recordings(arguments) if is_file else {}),
+        f"{source} has still images; tracking needs a recording or a video": (
+            is_tracked and source is not None and not is_bag and has_still_images(source)
+        ),
+        "--crops needs --output, beside which it puts the folder of crops": (
+            arguments.crops and is_file and not has_output
+        ),
+        f"--images needs a recording as output: give --output without {suffix}": suffix and arguments.images,
+        f"{suffix} has no ids of tracks: leave out --track, or choose another format": (
+            suffix and is_tracked and not FORMATS[suffix].has_ids
+        ),
+    }
+    _refuse(parser, rules)
 
 
-def _conflicts_of_many(arguments: argparse.Namespace) -> list[str]:
-    """The arguments that contradict each other, for many sources."""
-    problems = []
-    if arguments.output is None:
-        problems.append("give --output, the folder for the results of many recordings or videos")
-    if arguments.annotated:
-        problems.append(
-            "--annotated applies to a single video, image or folder of images; for recordings use --images"
-        )
-    return problems + _conflicts_with_format(arguments)
+def _of_recordings(arguments: argparse.Namespace) -> dict[str, object]:
+    return {f"--{name} applies to recordings only": getattr(arguments, name) for name in ("topic", "images")}
 
 
-def _without_recordings(arguments: argparse.Namespace, sources: str) -> list[str]:
-    """Which arguments have no effect, because of what `sources` says."""
-    return [
-        f"--{name} applies to recordings only, and {sources}"
-        for name in ("topic", "images")
-        if getattr(arguments, name)
-    ]
-
-
-def _conflicts_with_format(arguments: argparse.Namespace) -> list[str]:
-    """What the format of the output cannot hold, but the arguments ask for."""
-    suffix = "" if arguments.output is None else format_suffix(arguments.output)
-    if not suffix:
-        return []
-    problems = []
-    if arguments.images:
-        problems.append(f"--images needs a recording as output: give --output without {suffix}")
-    if TRACK in arguments.assignments and not FORMATS[suffix].has_ids:
-        problems.append(f"{suffix} has no ids of tracks: leave out --track, or choose another format")
-    return problems
+def _refuse(parser: argparse.ArgumentParser, rules: Mapping[str, object]) -> None:
+    """Exit with the texts of all `rules` that are broken."""
+    if problems := [problem for problem, is_broken in rules.items() if is_broken]:
+        parser.error("; ".join(problems))

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import errno
-import os
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import chain
-from pathlib import Path, PosixPath
+from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.detection.detections import FoundObject
@@ -51,40 +48,24 @@ def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStat
             complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
         topic = recording.image_topic(export.topic)
         images = _not_empty(source, topic, recording.images(topic))
-        if not export.suffix:
-            _check_name(export.path)
+        if not export.suffix and export.path is not None:
+            _check_path(export.path.absolute(), recording.storage)
         new_bag = None if export.suffix else partial(_DetectionBag, export, recording.storage)
         statistics = export_images(images, topic.count, export, load, new_bag)
-    statistics.missing = max(0, topic.count - statistics.balance.received)
+    statistics.missing = max(0, topic.count - statistics.outcomes.total())
     return statistics
 
 
-class UriPath(PosixPath):
-    """A path that is escaped where it is formatted, as in `f"file:{path}"`, so that SQLite opens that file.
-
-    SQLite would take `#`, `?`, `%41` and a leading `//` as parts of the URI, see https://sqlite.org/uri.html.
-    """
-
-    def __format__(self, specification: str) -> str:
-        return format(quote(os.fsencode(self), safe=""), specification)
-
-
-class _SqliteWriter(Sqlite3Writer):
-    """Writes to its path, whatever characters the path has."""
-
-    def __init__(self, path: Path, compression: Any) -> None:
-        super().__init__(UriPath(path), compression)
-
-
-class _Writer(Writer):
-    STORAGE_PLUGINS: Mapping[Any, Any] = {**Writer.STORAGE_PLUGINS, StoragePlugin.SQLITE3: _SqliteWriter}
-
-
-def _check_name(output: Path | None) -> None:
-    """Raise OutputError if metadata.yaml cannot contain the name of the recording `output`."""
-    if output is not None and not is_utf8(output.name):
-        name = in_one_line(output.name)
+def _check_path(output: Path, storage: StoragePlugin) -> None:
+    """Raise OutputError for a path that metadata.yaml cannot contain, or that SQLite would misread."""
+    name = in_one_line(output.name)
+    if not is_utf8(output.name):
         raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
+    if storage is StoragePlugin.SQLITE3 and any(letter in str(output) for letter in "#?%"):
+        # In a URI these begin other parts: https://sqlite.org/uri.html
+        raise OutputError(
+            f"{name}: the path of a recording in SQLite cannot have #, ? or %: choose another --output."
+        )
 
 
 @contextmanager
@@ -120,7 +101,7 @@ class _DetectionBag(Sink):
         assert export.path is not None
         self._detector = detector
         self._is_labelled = self._is_finished = False
-        self._writer = _Writer(export.path, version=9, storage_plugin=storage)
+        self._writer = Writer(export.path.absolute(), version=9, storage_plugin=storage)
         self._writer.open()
         node, has_masks = export.node, export.masks and detector.segments
         self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)

@@ -6,7 +6,7 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -22,7 +22,7 @@ from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.frame_statistics import Outcome
 from yolov5_lifecycle.tracking.byte_tracker import StampCounts
 from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
@@ -49,26 +49,36 @@ class DetectingError(RuntimeError):
     """Detection was aborted or produced no result."""
 
 
+@dataclass
 class RunStatistics:
     """Statistics of a run over a source that claims to have `expected` images, 0 if unknown."""
 
-    def __init__(self, expected: int, stamps: StampCounts | None = None) -> None:
-        self.expected = expected
-        self.missing = 0
-        """Images that a recording claims and does not have."""
-        self.stamps = stamps or StampCounts()
-        self.objects: Counter[str] = Counter()
-        self.counter = FrameCounter()
-        self._begun_s = time.monotonic()
+    expected: int
+    stamps: StampCounts = field(default_factory=StampCounts)
+    missing: int = 0
+    """Images that a recording claims and does not have."""
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    objects: Counter[str] = field(default_factory=Counter)
+    """Detections by class."""
+    begun_s: float = field(default_factory=time.monotonic)
 
     @property
-    def balance(self) -> FrameBalance:
-        return self.counter.balance()
+    def counts(self) -> dict[str, int]:
+        """What is counted in a summary."""
+        return {
+            "images": self.outcomes.total(),
+            "detected": self.outcomes[Outcome.DETECTED],
+            "rejected": self.outcomes[Outcome.REJECTED],
+            "failed": self.outcomes[Outcome.FAILED],
+            "missing": self.missing,
+            "late": self.stamps.late,
+            "jumps": self.stamps.jumps,
+        }
 
     @property
     def rate_hz(self) -> float:
         """Images per second so far."""
-        return self.balance.received / max(time.monotonic() - self._begun_s, 1e-9)
+        return self.outcomes.total() / max(time.monotonic() - self.begun_s, 1e-9)
 
 
 class ProgressListener(Protocol):
@@ -153,12 +163,11 @@ class OfflineDetector:
         """
         statistics = RunStatistics(expected, self._stamps)
         for stored in images:
-            statistics.counter.receive()
-            statistics.counter.finish(self._detect(stored, write, statistics.objects))
+            statistics.outcomes[self._detect(stored, write, statistics.objects)] += 1
             self._listener.progress(statistics)
-        if not statistics.balance[Outcome.DETECTED]:
-            if not (count := statistics.balance.received):
-                raise DetectingError("there are no images to use")
+        if not (count := statistics.outcomes.total()):
+            raise DetectingError("there are no images to use")
+        if not statistics.outcomes[Outcome.DETECTED]:
             raise DetectingError(f"none of {count} images could be used: see the reasons above")
         return statistics
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value, file_values
+from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
 
@@ -29,7 +29,7 @@ def wanted_settings(
     values, ParameterFileError and OSError.
     """
     values = file_values(parameter_file, node) if parameter_file else {}
-    assigned = _assigned(assignments)
+    assigned = dict(map(assigned_value, assignments))
     problems = [Problem(name, _NOT_OFFLINE) for name in _OF_THE_NODE if name in assigned]
     try:
         settings = validated(values | {name: assigned[name] for name in assigned if name not in _OF_THE_NODE})
@@ -39,21 +39,6 @@ def wanted_settings(
     if problems:
         raise SettingsError(problems)
     return wanted
-
-
-def _assigned(assignments: Sequence[str]) -> dict[str, object]:
-    """Values by name; raises ParameterFileError with a line for each assignment that cannot be read."""
-    read = list(map(_read, assignments))
-    if problems := [str(one) for one in read if isinstance(one, ParameterFileError)]:
-        raise ParameterFileError("\n  ".join(problems))
-    return dict(one for one in read if not isinstance(one, ParameterFileError))
-
-
-def _read(assignment: str) -> tuple[str, object] | ParameterFileError:
-    try:
-        return assigned_value(assignment)
-    except ParameterFileError as error:
-        return error
 
 
 def _of_camera(settings: Settings, camera: str) -> Settings:

@@ -20,9 +20,10 @@ from yolov5_lifecycle.sources.source import (
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image file."""
+    """An image file, and its number in its folder."""
 
     path: Path
+    number: int = 0
 
     @property
     def label(self) -> str:
@@ -89,7 +90,7 @@ def has_still_images(path: Path) -> bool:
 
 def image_files(path: Path) -> list[ImageFile]:
     """The image `path`, or the images in the folder `path`; raises SourceError for a folder without any."""
-    return [ImageFile(file) for file in image_paths(path)]
+    return [ImageFile(file, number) for number, file in enumerate(image_paths(path))]
 
 
 @dataclass(frozen=True)
@@ -111,20 +112,3 @@ class VideoFile:
             VideoFrame(number, number / rate_hz, frame.image) for number, frame in enumerate(source.frames)
         )
         return cls(frames, rate_hz, source.claimed_frames)
-
-
-class DistinctNames:
-    """Names of files about the images of one source, each for one image only, whatever its case."""
-
-    def __init__(self) -> None:
-        self._owners: dict[str, int] = {}
-
-    def of(self, stem: str, number: int) -> str:
-        """The name of the image `number`: `stem`, followed by the number if an earlier image has that name.
-
-        `_frame_` sorts it behind the files of the first image of that name.
-        """
-        name = stem
-        while self._owners.setdefault(name.casefold(), number) != number:
-            name += f"_frame_{number:06}"
-        return name

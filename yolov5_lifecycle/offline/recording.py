@@ -13,6 +13,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from backports import zstd
+from pydantic import BaseModel, NonNegativeInt, ValidationError
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -21,7 +22,6 @@ from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.input_file import read_regular_file
-from yolov5_lifecycle.offline.image_files import DistinctNames
 from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_mcap
 from yolov5_lifecycle.offline.stored_messages import (
     CDR,
@@ -66,8 +66,6 @@ TYPES = _typestore()
 MAX_METADATA_BYTES = 16 << 20
 _FREE_SHARE = 0.9
 _BLOCK_BYTES = 1 << 20
-_DIGITS = 15
-"""Of a number of messages that is taken for one."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """A message of ROS 2 begins with a zero."""
 _Storage = McapFile | SqliteFile
@@ -76,6 +74,26 @@ _MAX_LISTED = 50
 """Topics in an error."""
 Stamp = tuple[int, int]
 """Seconds and nanoseconds in the header."""
+
+
+class _TopicMetadata(BaseModel):
+    name: str
+
+
+class _TopicCount(BaseModel):
+    topic_metadata: _TopicMetadata
+    message_count: NonNegativeInt
+
+
+class _BagInformation(BaseModel):
+    relative_file_paths: list[str]
+    topics_with_message_count: list[_TopicCount] = []
+
+
+class _Metadata(BaseModel):
+    """The part of metadata.yaml that is read."""
+
+    rosbag2_bagfile_information: _BagInformation
 
 
 class RecordingError(ValueError):
@@ -122,22 +140,21 @@ class RecordedMessage:
 
 @dataclass(frozen=True)
 class RecordedImage(RecordedMessage):
-    """A recorded image message, counted from 0 on its topic, and the names of those before it."""
+    """A recorded image message, counted from 0 on its topic."""
 
-    frame: int = field(default=0, kw_only=True)
-    names: DistinctNames = field(default_factory=DistinctNames, kw_only=True)
+    number: int = field(default=0, kw_only=True)
 
     @property
     def identity(self) -> dict[str, str | int]:
         """The stamp of its header, which others may have, too, and its number; raises ImageError."""
         seconds, nanoseconds = self.stamp
-        return {"stamp_ns": seconds * 10**9 + nanoseconds, "frame": self.frame}
+        return {"stamp_ns": seconds * 10**9 + nanoseconds, "frame": self.number}
 
     @property
     def stem(self) -> str:
-        """The name of files about it: its stamp, and its number if one before has it; ask in order."""
+        """The name of files about it: its stamp, which others may have, too; raises ImageError."""
         seconds, nanoseconds = self.stamp
-        return self.names.of(f"{seconds}_{nanoseconds:09}", self.frame)
+        return f"{seconds}_{nanoseconds:09}"
 
     def load(self) -> ColourImage:
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
@@ -193,11 +210,8 @@ class Recording:
 
     def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
         """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""
-        names = DistinctNames()
-        return (
-            RecordedImage(*message, frame=frame, names=names)
-            for frame, message in enumerate(self._messages(topic))
-        )
+        messages = enumerate(self._messages(topic))
+        return (RecordedImage(*message, number=number) for number, message in messages)
 
     def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
         """Like `images` for any topic whose messages have a header."""
@@ -268,33 +282,22 @@ def _files_of(path: Path) -> tuple[list[Path], Mapping[str, int]]:
         return [path], {}
     try:
         described = texts_of(read_regular_file(path / METADATA, MAX_METADATA_BYTES))
+        bag = _Metadata.model_validate(described).rosbag2_bagfile_information
     except FileNotFoundError:
         raise StorageError(
             f"{METADATA} is missing, which is written when recording ends: "
             f"{shell_command('ros2', 'bag', 'reindex', path)}"
         ) from None
+    except ValidationError as error:
+        problem = error.errors()[0]
+        raise StorageError(f"{METADATA}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from None
     except ValueError as error:
         raise StorageError(f"{METADATA}: {error}") from None
-    bag = _mapping(_mapping(described).get("rosbag2_bagfile_information"))
-    names = bag.get("relative_file_paths")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise StorageError(f"{METADATA} has no list relative_file_paths")
+    claimed = Counter[str]()
+    for topic in bag.topics_with_message_count:
+        claimed[topic.topic_metadata.name] += topic.message_count
     # Written with the folder in front by early versions; a file elsewhere is not read.
-    return [path / PurePath(name).name for name in names], _claimed(bag)
-
-
-def _claimed(bag: Mapping[str, object]) -> Counter[str]:
-    counts: Counter[str] = Counter()
-    topics = bag.get("topics_with_message_count")
-    for topic in map(_mapping, topics if isinstance(topics, list) else []):
-        name, count = _mapping(topic.get("topic_metadata")).get("name"), topic.get("message_count")
-        if isinstance(name, str) and isinstance(count, str) and count.isdecimal() and len(count) <= _DIGITS:
-            counts[name] += int(count)
-    return counts
-
-
-def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, dict) else {}
+    return [path / PurePath(name).name for name in bag.relative_file_paths], claimed
 
 
 def _open_storage(path: Path, stack: ExitStack) -> _Storage:

@@ -1,7 +1,7 @@
 """Topics and messages in the files of rosbag2 recordings, MCAP and SQLite, in the order of the file.
 
-MCAP, with or without indexes (https://mcap.dev/spec), is read as a stream, because libraries unpack a whole
-chunk: 33 kB may become a gigabyte.
+MCAP, with or without indexes (https://mcap.dev/spec), is read here, because libraries unpack a chunk of any
+size: 33 kB may become gigabytes.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from struct import Struct
@@ -26,6 +26,8 @@ CDR = "cdr"
 """The encoding of ROS 2."""
 MAX_MESSAGE_BYTES = 256 << 20
 """Of a message that is read: an RGB image of 89 megapixels."""
+MAX_CHUNK_BYTES = 2 * MAX_MESSAGE_BYTES
+"""Of a chunk of messages, packed or not; writers begin another one after a megabyte or a message."""
 MAX_TOPICS = 10_000
 MAX_NAME_BYTES = 4096
 MESSAGES_OF_ANY_FILE = 100_000
@@ -35,8 +37,6 @@ _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = range(1, 7)
 _STATISTICS, _DATA_END = 0x0B, 0x0F
 _FOOTER_BYTES = 9 + 20 + len(_MAGIC)
-_BLOCK_BYTES = 1 << 20
-_BUFFER_BYTES = 1 << 16
 
 _U16, _U32, _U64 = Struct("<H"), Struct("<I"), Struct("<Q")
 _RECORD = Struct("<BQ")  # opcode, bytes
@@ -45,7 +45,6 @@ _MESSAGE_START = Struct("<HIQQ")  # channel, number, time of recording, time of 
 _CHUNK_START = Struct("<QQQI")  # first and last time, unpacked bytes, their CRC-32 or 0
 _STATISTICS_START = Struct("<QHIIIIQQ")  # messages, schemas, channels, then others that are not used
 _COUNT = Struct("<HQ")  # channel, messages
-_FUNCTIONS = {"count", "length"}
 _TOPICS = f"SELECT id, name, type, serialization_format FROM topics LIMIT {MAX_TOPICS + 1}"
 _COUNTS = f"""
     SELECT topic_id, count(*) FROM messages
@@ -91,20 +90,20 @@ class McapFile:
 
     def messages(self, name: str, type_name: str) -> Iterator[tuple[int, bytes | None]]:
         """Time of recording in nanoseconds and content, None if larger than MAX_MESSAGE_BYTES."""
-        for channel, time_ns, contents, size in self._messages():
+        for channel, time_ns, file, size in self._messages():
             topic = self._channels.get(channel)
             if topic is not None and (topic.name, topic.type_name) == (name, type_name):
-                yield time_ns, contents.take(size) if size <= MAX_MESSAGE_BYTES else None
+                yield time_ns, _taken(file, size) if size <= MAX_MESSAGE_BYTES else None
 
     def _bounds(self) -> tuple[int, int]:
         """Where records begin, and where the footer does; raises StorageError for another format."""
         if self._file.read(len(_MAGIC)) != _MAGIC:
             raise StorageError("it does not begin like an MCAP file")
-        opcode, size = _RECORD.unpack(self._file.read(_RECORD.size).ljust(_RECORD.size, b"\0"))
+        opcode, size = _fields(self._file, _RECORD)
         start = self._file.tell()
-        if opcode != _HEADER or size > self._size - start:
+        if opcode != _HEADER:
             raise ValueError("expected the header of an MCAP file")
-        if _text(_Contents(self._file, size)) == "ros1":
+        if _text(self._file) == "ros1":
             raise StorageError(
                 "its messages are those of ROS 1, which are not read. Convert the .bag that it was made "
                 "from: rosbags-convert --src FILE.bag --dst FOLDER"
@@ -121,22 +120,19 @@ class McapFile:
         Writers may leave out of it schemas, channels or counts.
         """
         self._file.seek(self._data_end + _RECORD.size)
-        (start,) = _U64.unpack(self._file.read(_U64.size))
+        (start,) = _fields(self._file, _U64)
         if not self._data_start <= start < self._data_end:
             return None
         self._file.seek(start)
-        summary = _Contents(self._file, self._data_end - start)
-        claimed: tuple[int, int, int, Counter[int]] | None = None
-        for opcode, _ in summary.records():
+        claimed: tuple[int, int, int] | None = None
+        counts = Counter[int]()
+        for opcode, _ in _records(self._file, self._data_end):
             if opcode == _STATISTICS:
-                claimed = _statistics(summary)
+                claimed, counts = _statistics(self._file)
             else:
-                self._describe(opcode, summary)
-        if claimed is None:
-            return None
-        messages, schemas, channels, counts = claimed
+                self._describe(opcode, self._file)
         found = counts.total(), len(self._schemas), len(self._channels)
-        return counts if found == (messages, schemas, channels) else None
+        return counts if found == claimed else None
 
     def _counted(self) -> Counter[int]:
         """Counts of all messages, which are read for that, as are the channels."""
@@ -144,147 +140,114 @@ class McapFile:
         self._channels.clear()
         return Counter(channel for channel, *_ in self._messages())
 
-    def _messages(self) -> Iterator[tuple[int, int, _Contents, int]]:
-        """Channel and time of each message, and the number of bytes that may then be taken."""
+    def _messages(self) -> Iterator[tuple[int, int, BinaryIO, int]]:
+        """Channel and time of each message, a file that is at its content, and the size of that."""
         left = MESSAGES_OF_ANY_FILE + self._size // BYTES_PER_MESSAGE
-        for opcode, contents, size in self._records():
+        for opcode, file, size in self._data():
             if opcode != _MESSAGE:
-                self._describe(opcode, contents)
+                self._describe(opcode, file)
                 continue
             if not (left := left - 1):
                 raise StorageError("it unpacks to more messages than a recording of its size has")
-            channel, _, time_ns, _ = contents.fields(_MESSAGE_START)
-            yield channel, time_ns, contents, size - _MESSAGE_START.size
+            channel, _, time_ns, _ = _fields(file, _MESSAGE_START)
+            yield channel, time_ns, file, size - _MESSAGE_START.size
 
-    def _records(self) -> Iterator[tuple[int, _Contents, int]]:
-        """Opcode and size of the records, also of those in chunks."""
+    def _data(self) -> Iterator[tuple[int, BinaryIO, int]]:
+        """Opcode of each record, also of those in chunks, a file that is at its content, and the size."""
         self._file.seek(self._data_start)
-        data = _Contents(self._file, self._data_end - self._data_start)
-        for opcode, size in data.records():
+        for opcode, size in _records(self._file, self._data_end):
             if opcode == _DATA_END:
                 return
             if opcode != _CHUNK:
-                yield opcode, data, size
+                yield opcode, self._file, size
                 continue
-            with _unpacked(data) as chunk:
-                for inner, inner_size in chunk.records():
-                    if inner == _CHUNK:
-                        raise ValueError("a chunk within a chunk")
-                    yield inner, chunk, inner_size
+            chunk, end = _unpacked(self._file)
+            for inner, inner_size in _records(chunk, end):
+                if inner == _CHUNK:
+                    raise ValueError("a chunk within a chunk")
+                yield inner, chunk, inner_size
 
-    def _describe(self, opcode: int, contents: _Contents) -> None:
+    def _describe(self, opcode: int, file: BinaryIO) -> None:
         """Keep a schema or channel, of which each may occur many times."""
         if opcode == _SCHEMA:
-            (number,) = contents.fields(_U16)
-            self._schemas.setdefault(number, _text(contents))
+            (number,) = _fields(file, _U16)
+            self._schemas.setdefault(number, _text(file))
         elif opcode == _CHANNEL:
-            number, schema = contents.fields(_CHANNEL_START)
-            name, encoding = _text(contents), _text(contents)
+            number, schema = _fields(file, _CHANNEL_START)
+            name, encoding = _text(file), _text(file)
             self._channels.setdefault(number, StoredTopic(name, self._schemas.get(schema, ""), encoding))
         if max(len(self._schemas), len(self._channels)) > MAX_TOPICS:
             raise StorageError(f"more than {MAX_TOPICS} channels")
 
 
-class _Contents:
-    """The next `left` bytes of `file`, taken one after the other; raises ValueError if it has less."""
-
-    def __init__(self, file: BinaryIO, size: int, crc: int = 0) -> None:
-        self._file = file
-        self._expected_crc = crc  # 0 stands for none
-        self._crc = 0
-        self.left = size
-
-    def take(self, size: int) -> bytes:
-        data = self._file.read(size) if size <= self.left else b""
-        if len(data) != size:
-            raise ValueError(f"a record ends after {len(data)} of {size} bytes")
-        self.left -= size
-        if self._expected_crc:
-            self._crc = crc32(data, self._crc)
-        return data
-
-    def check(self) -> None:
-        """Raise ValueError unless nothing is left in the file, and the checksum is right."""
-        if self._file.read(1):
-            raise ValueError("a chunk unpacks to more bytes than it claims")
-        if self._crc != self._expected_crc:
-            raise ValueError("a chunk is damaged: its checksum is wrong")
-
-    def _skip_to(self, end: int) -> None:
-        if self._file.seekable() and not self._expected_crc:
-            self._file.seek(self.left - end, io.SEEK_CUR)
-            self.left = end
-        while self.left > end:
-            self.take(min(self.left - end, _BLOCK_BYTES))
-
-    def fields(self, layout: Struct) -> tuple[int, ...]:
-        return layout.unpack(self.take(layout.size))
-
-    def records(self) -> Iterator[tuple[int, int]]:
-        """Opcode and size of each record; what has not been taken of it is then skipped."""
-        while self.left:
-            opcode, size = self.fields(_RECORD)
-            end = self.left - size
-            if end < 0:
-                raise ValueError(f"a record of {size} bytes where {self.left} are left")
-            yield opcode, size
-            if self.left < end:
-                raise ValueError("a record is shorter than its fields")
-            self._skip_to(end)
+def _records(file: BinaryIO, end: int) -> Iterator[tuple[int, int]]:
+    """Opcode and size of each record up to the position `end` of `file`, which is then at its content."""
+    while file.tell() < end:
+        opcode, size = _fields(file, _RECORD)
+        left = end - file.tell()
+        if size > left:
+            raise ValueError(f"a record of {size} bytes where {left} are left")
+        next_record = file.tell() + size
+        yield opcode, size
+        if file.tell() > next_record:
+            raise ValueError("a record is shorter than its fields")
+        file.seek(next_record)
 
 
-class _Packed(io.RawIOBase):
-    """The next `size` bytes of `contents` as a file."""
-
-    def __init__(self, contents: _Contents, size: int) -> None:
-        self._contents = contents
-        self._left = size
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        data = self._contents.take(min(len(buffer), self._left))
-        self._left -= len(data)
-        buffer[: len(data)] = data
-        return len(data)
+def _taken(file: BinaryIO, size: int) -> bytes:
+    data = file.read(max(size, 0))
+    if len(data) != size:
+        raise ValueError(f"a record ends after {len(data)} of {size} bytes")
+    return data
 
 
-@contextmanager
-def _unpacked(data: _Contents) -> Iterator[_Contents]:
-    """What the chunk at the beginning of `data` has when it is unpacked; checked when all of it was taken."""
-    _, _, size, crc = data.fields(_CHUNK_START)
-    compression = _text(data)
-    packed = _Packed(data, *data.fields(_U64))
+def _fields(file: BinaryIO, layout: Struct) -> tuple[int, ...]:
+    return layout.unpack(_taken(file, layout.size))
+
+
+def _text(file: BinaryIO) -> str:
+    (size,) = _fields(file, _U32)
+    if size > MAX_NAME_BYTES:
+        raise StorageError(f"a name of {size} bytes, expected at most {MAX_NAME_BYTES}")
+    return _taken(file, size).decode("utf-8", "replace")
+
+
+def _statistics(file: BinaryIO) -> tuple[tuple[int, int, int], Counter[int]]:
+    """Claimed number of messages, of schemas, of channels; and of the messages of each channel."""
+    messages, schemas, channels, *_ = _fields(file, _STATISTICS_START)
+    (size,) = _fields(file, _U32)
+    if size > _COUNT.size * MAX_TOPICS:
+        raise StorageError(f"statistics of more than {MAX_TOPICS} channels")
+    return (messages, schemas, channels), Counter(dict(_COUNT.iter_unpack(_taken(file, size))))
+
+
+def _unpacked(file: BinaryIO) -> tuple[BinaryIO, int]:
+    """The records of the chunk at which `file` is, and their size in bytes."""
+    _, _, size, crc = _fields(file, _CHUNK_START)
+    compression = _text(file)
+    (packed_size,) = _fields(file, _U64)
+    if max(size, packed_size) > MAX_CHUNK_BYTES:
+        raise StorageError(
+            f"a chunk of {max(size, packed_size)} bytes, expected at most {MAX_CHUNK_BYTES >> 20} MiB"
+        )
     if compression not in _UNPACKING:
         raise StorageError(f"a chunk is packed as {in_one_line(compression)!r}, expected zstd or lz4")
-    with io.BufferedReader(_UNPACKING[compression](packed), _BUFFER_BYTES) as file:
-        chunk = _Contents(file, size, crc)
-        yield chunk
-        chunk.check()
+    with _UNPACKING[compression](io.BytesIO(_taken(file, packed_size))) as packed:
+        content = packed.read(size + 1)
+    if len(content) != size:
+        raise ValueError(
+            f"a chunk unpacks to {'more' if len(content) > size else 'fewer'} bytes than it claims"
+        )
+    if crc and crc32(content) != crc:
+        raise ValueError("a chunk is damaged: its checksum is wrong")
+    return io.BytesIO(content), size
 
 
-_UNPACKING: Mapping[str, Callable[[Any], Any]] = {
+_UNPACKING: Mapping[str, Callable[[BinaryIO], Any]] = {
     "": lambda packed: packed,
     "lz4": lz4.frame.LZ4FrameFile,
     "zstd": zstd.ZstdFile,
 }
-
-
-def _text(contents: _Contents) -> str:
-    (size,) = contents.fields(_U32)
-    if size > MAX_NAME_BYTES:
-        raise StorageError(f"a name of {size} bytes, expected at most {MAX_NAME_BYTES}")
-    return contents.take(size).decode("utf-8", "replace")
-
-
-def _statistics(contents: _Contents) -> tuple[int, int, int, Counter[int]]:
-    """Claimed number of messages, of schemas, of channels, and of the messages of each channel."""
-    messages, schemas, channels, *_ = contents.fields(_STATISTICS_START)
-    (size,) = contents.fields(_U32)
-    if size > _COUNT.size * MAX_TOPICS:
-        raise StorageError(f"statistics of more than {MAX_TOPICS} channels")
-    return messages, schemas, channels, Counter(dict(_COUNT.iter_unpack(contents.take(size))))
 
 
 class SqliteFile:
@@ -317,7 +280,7 @@ class SqliteFile:
 
 
 def _restrict(database: Any) -> None:
-    """Only tables, and only what the queries need of SQL: views could run forever or return any size."""
+    """Raise StorageError for anything but tables: views could run forever or return any size."""
     database.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
     columns = "SELECT 1 FROM sqlite_master, pragma_table_xinfo(sqlite_master.name) WHERE hidden > 1"
     unusual = "SELECT 1 FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
@@ -326,11 +289,3 @@ def _restrict(database: Any) -> None:
             raise StorageError(
                 "the database has views, triggers or computed columns; a recording has only tables"
             )
-    database.authorizer = _authorized
-
-
-def _authorized(action: int, _: str | None, name: str | None, __: str | None, view: str | None) -> int:
-    is_foreign_function = action == apsw.SQLITE_FUNCTION and (name or "").lower() not in _FUNCTIONS
-    if view is not None or is_foreign_function or action == apsw.SQLITE_RECURSIVE:
-        return int(apsw.SQLITE_DENY)
-    return int(apsw.SQLITE_OK)

@@ -18,9 +18,9 @@ from support.recorded_scene import COUNT, SIZE_HW, images, video
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.export import crops as module
-from yolov5_lifecycle.offline.export.crops import MIN_FREE_BYTES, Crops
+from yolov5_lifecycle.offline.export import image_outputs
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage
+from yolov5_lifecycle.offline.export.image_outputs import MIN_FREE_BYTES, Crops
 from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -38,7 +38,7 @@ def detected(*boxes_xyxy: tuple[float, float, float, float], name: str = "a.png"
         scores=np.full(count, 0.5, np.float32),
         class_ids=np.zeros(count, np.int64),
     )
-    return DetectedImage(ImageFile(Path("/shots") / name), ColourImage(pixels, "rgb"), found)
+    return DetectedImage(ImageFile(Path("/shots") / name), ColourImage(pixels, "rgb"), found, Path(name).stem)
 
 
 def names(folder: Path) -> list[str]:
@@ -87,30 +87,34 @@ def test_any_class_name_makes_a_safe_folder(class_name: str, folder: str, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("images", "written"),
+    ("stems", "written"),
     [
-        pytest.param(["a.jpg", "a.png"], ["a", "a_frame_000001"], id="different suffixes"),
-        pytest.param(["A.png", "a.png"], ["A", "a_frame_000001"], id="different cases"),
-        pytest.param(["\udcff.png", "-rf.png"], ["\udcff", "-rf"], id="odd names"),
+        pytest.param(["1", "1"], ["1", "1_frame_000001"], id="different suffixes"),
+        pytest.param(["A", "a"], ["A", "a_frame_000001"], id="different cases"),
+        pytest.param(["\udcff", "-rf"], ["\udcff", "-rf"], id="odd names"),
         pytest.param(
-            [f"{'n' * 230}{end}.png" for end in "ab"], ["n" * 200, f"{'n' * 200}_frame_000001"], id="long"
-        ),
-        pytest.param(
-            ["a.jpg", "a_frame_000002.png", "a.png"],
-            ["a", "a_frame_000002", "a_frame_000002_frame_000002"],
+            ["a", "a", "a_frame_000001"],
+            ["a", "a_frame_000001", "a_frame_000001_frame_000002"],
             id="the very numbered name",
         ),
     ],
 )
-def test_each_image_has_crops_of_its_own(images: list[str], written: list[str], tmp_path: Path) -> None:
-    folder = Crops(tmp_path / "crops", ["dog"])
-    for name in images:
-        folder.add(detected((0, 0, 9, 9), name=name))
-    assert names(tmp_path / "crops") == sorted(f"0_dog/{stem}_0.jpg" for stem in written)
+def test_each_image_has_crops_of_its_own(stems: list[str], written: list[str], tmp_path: Path) -> None:
+    source = images(tmp_path / "shots")
+    (file, *others) = sorted(source.iterdir())
+    content = file.read_bytes()
+    for one in (file, *others):
+        one.unlink()
+    for number, stem in enumerate(stems):
+        (source / f"{stem}{('.bmp', '.jpg', '.png')[number]}").write_bytes(content)
+    assert run([str(source), "--output", str(tmp_path / "found.csv"), "--crops", *SET_MODEL]) == 0
+    found = {name.partition("/")[2].rpartition("_")[0] for name in names(tmp_path / "found_crops")}
+    assert len(found) == len(written)
+    assert found == set(written)
 
 
 def test_there_are_at_most_so_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_CROPS", 2)
+    monkeypatch.setattr(image_outputs, "MAX_CROPS", 2)
     folder = Crops(tmp_path / "crops", ["dog"])
     folder.add(detected((0, 0, 9, 9)))
     with pytest.raises(OutputError, match="more than 2 detections: raise confidence_threshold"):

@@ -28,16 +28,21 @@ from support.started import started
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
+from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
-from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, RecordingResult, Refused
-from yolov5_lifecycle.offline.many_recordings.summary import BatchTerminal
+from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, RecordingResult
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
 from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Work, Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
+from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.ros.child_process import entry_point
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 LENGTHS = {"east": COUNT, "north": 4}
+
+
+def terminal() -> Terminal:
+    return Terminal("detect_bag", shows_progress=True)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +70,7 @@ class LocalWorker(Worker):
     def close(self) -> None:
         """It has nothing open."""
 
-    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+    def _answer(self, method: str, argument: object, on_image: OnImage) -> Any:
         return getattr(self._work, method)(argument)
 
 
@@ -74,7 +79,7 @@ def found(drives: Path) -> Path:
     """The results of a worker."""
     output = drives.parent / "found"
     sources, plan = recordings_of([drives], output), plan_for(output, tracker="bytetrack")
-    batch = detect_recordings(sources, plan, new_workers=lambda _: [LocalWorker()], terminal=BatchTerminal())
+    batch = detect_recordings(sources, plan, new_workers=lambda _: [LocalWorker()], terminal=terminal())
     assert not batch.is_complete
     return output
 
@@ -131,8 +136,8 @@ def test_a_second_run_does_only_what_is_missing(
 
 def test_a_worker_says_why_it_cannot_load_the_model(tmp_path: Path) -> None:
     refused = Work().load(plan_for(tmp_path, classes=["circel"]))
-    assert isinstance(refused, Refused)
-    assert "Did you mean 'circle'?" in refused.reason
+    assert isinstance(refused, DetectingError)
+    assert "Did you mean 'circle'?" in str(refused)
 
 
 class HuntedWorker(ProcessWorker):
@@ -142,7 +147,7 @@ class HuntedWorker(ProcessWorker):
         super().__init__(2)
         self.killed = ""
 
-    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult:
         def hunt(images: int) -> None:
             on_image(images)
             if not self.killed:
@@ -161,7 +166,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(
     output, hunted = tmp_path / "found", HuntedWorker()
     sources, plan = recordings_of([drives], output), plan_for(output)
     workers = [hunted, ProcessWorker(2)]
-    batch = detect_recordings(sources, plan, new_workers=lambda _: workers, terminal=BatchTerminal())
+    batch = detect_recordings(sources, plan, new_workers=lambda _: workers, terminal=terminal())
     told = capsys.readouterr().err
     assert f"detect_bag: {hunted.killed}: the worker died (signal 9); another worker retries it\n" in told
     assert {name: row.images for name, row in batch.results.items() if row.state == "done"} == lengths

@@ -9,40 +9,39 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from threading import Barrier
 from typing import Any
 
 import pytest
 from support.many_recordings import plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
-from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused
-from yolov5_lifecycle.offline.many_recordings.summary import BatchProgress, BatchTerminal
+from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult
+from yolov5_lifecycle.offline.many_recordings.summary import Batch
 from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, detect_recordings
 from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import SourceRecording
-from yolov5_lifecycle.offline.terminal import objects_line
+from yolov5_lifecycle.offline.terminal import Terminal, report
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.unfinished import hold, open_itself
 
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
 
 
-class Notes(BatchTerminal):
-    """Remembers what it is told; `on_progress` is called each time."""
+class Notes(Terminal):
+    """Remembers what it is told; `on_progress` is called with what it shows."""
 
-    def __init__(self, on_progress: Callable[[BatchProgress], object]) -> None:
-        super().__init__()
-        self.remarks: list[str] = []
+    def __init__(self, on_progress: Callable[[str], object]) -> None:
+        super().__init__("detect_bag", shows_progress=False)
+        self.told: list[str] = []
         self._on_progress = on_progress
 
-    def remark(self, text: str) -> None:
-        self.remarks.append(text)
+    def tell(self, problem: str) -> None:
+        self.told.append(problem)
 
-    def progress(self, batch: BatchProgress) -> None:
-        self._on_progress(batch)
+    def show(self, text: str) -> None:
+        self._on_progress(text)
 
 
 class ScriptedWorker(Worker):
@@ -50,19 +49,19 @@ class ScriptedWorker(Worker):
 
     def __init__(
         self,
-        on_load: Callable[[ScriptedWorker, Plan], Plan | Refused],
-        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult | Refused],
+        on_load: Callable[[ScriptedWorker, Plan], Plan],
+        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult],
     ) -> None:
         self.plans: list[Plan] = []
         self.begun: list[str] = []
         self.is_stopped = self.is_closed = False
         self._on_load, self._on_detect = on_load, on_detect
 
-    def load(self, plan: Plan) -> Plan | Refused:
+    def load(self, plan: Plan) -> Plan:
         self.plans.append(plan)
         return self._on_load(self, plan)
 
-    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult:
         self.begun.append(source.name)
         on_image(1)
         return self._on_detect(self, source)
@@ -76,7 +75,7 @@ class ScriptedWorker(Worker):
     def close(self) -> None:
         self.is_closed = True
 
-    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+    def _answer(self, method: str, argument: object, on_image: OnImage) -> Any:
         raise NotImplementedError
 
 
@@ -98,16 +97,16 @@ class ScriptedRun:
         folder: Path,
         count: int = 2,
         *,
-        on_load: Callable[[ScriptedWorker, Plan], Plan | Refused] = loaded,
-        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult | Refused] = done,
-        on_progress: Callable[[BatchProgress], object] = lambda _: None,
+        on_load: Callable[[ScriptedWorker, Plan], Plan] = loaded,
+        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult] = done,
+        on_progress: Callable[[str], object] = lambda _: None,
         **settings: Any,
     ) -> None:
         self.notes = Notes(on_progress)
         self.workers = [ScriptedWorker(on_load, on_detect) for _ in range(count)]
         self.plan = plan_for(folder / "found", **({"runtime": "auto"} | settings))
 
-    def run(self) -> BatchProgress:
+    def run(self) -> Batch:
         return detect_recordings(SOURCES, self.plan, new_workers=lambda _: self.workers, terminal=self.notes)
 
     @property
@@ -131,16 +130,6 @@ def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -
     assert (batch.states["done"], batch.images) == (4, 8)
 
 
-def test_with_runtime_and_precision_set_all_workers_start_at_once(tmp_path: Path) -> None:
-    all_load = Barrier(3, timeout=5)
-
-    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
-        all_load.wait()
-        return plan
-
-    assert ScriptedRun(tmp_path, 3, on_load=load, runtime="torch", precision="fp32").run().is_complete
-
-
 def test_the_recording_of_a_dead_worker_is_retried_until_it_fails(tmp_path: Path) -> None:
     deaths = ["a", "b", "b", "c"]
 
@@ -154,7 +143,7 @@ def test_the_recording_of_a_dead_worker_is_retried_until_it_fails(tmp_path: Path
     assert scripted.run().states == {"done": 3, "skipped": 0, "failed": 1}
     assert scripted.begun == list("aabbccd")
     reason = f"the worker died (signal 9) {MAX_DEATHS} times while reading this recording"
-    assert sorted(scripted.notes.remarks) == [
+    assert sorted(scripted.notes.told) == [
         "a: the worker died (signal 9); another worker retries it",
         f"b: failed: {reason}",
         "b: the worker died (signal 9); another worker retries it",
@@ -162,29 +151,24 @@ def test_the_recording_of_a_dead_worker_is_retried_until_it_fails(tmp_path: Path
     ]
 
 
-@pytest.mark.parametrize("runtime", ["auto", "torch"])
 @pytest.mark.parametrize(
     ("answer", "told"),
     [
         pytest.param(
             ChildProcessError("it died"), "it died while loading the model, 2 times in a row", id="dies"
         ),
-        pytest.param(Refused("no such class"), "no such class", id="refuses"),
+        pytest.param(DetectingError("no such class"), "no such class", id="refuses"),
     ],
 )
-def test_a_model_that_no_worker_can_load_ends_the_run(
-    answer: ChildProcessError | Refused, told: str, runtime: str, tmp_path: Path
-) -> None:
-    def load(worker: ScriptedWorker, plan: Plan) -> Refused:
-        if isinstance(answer, ChildProcessError):
-            raise answer
-        return answer
+def test_a_model_that_no_worker_can_load_ends_the_run(answer: Exception, told: str, tmp_path: Path) -> None:
+    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
+        raise answer
 
-    scripted = ScriptedRun(tmp_path, on_load=load, runtime=runtime, precision="fp32")
+    scripted = ScriptedRun(tmp_path, on_load=load)
     with pytest.raises(DetectingError, match=told):
         scripted.run()
     assert all(worker.is_closed for worker in scripted.workers)
-    assert (scripted.begun, scripted.notes.remarks) == ([], [])
+    assert (scripted.begun, scripted.notes.told) == ([], [])
     assert not scripted.plan.output.exists()
     scripted.plan.output.mkdir()  # by the user, so that it stays
     with pytest.raises(DetectingError, match=told):
@@ -201,15 +185,17 @@ def test_a_worker_that_dies_once_while_it_loads_loads_again(tmp_path: Path) -> N
     assert ScriptedRun(tmp_path, on_load=load).run().states["done"] == 4
 
 
-def only_the_first_loads(worker: ScriptedWorker, plan: Plan) -> Plan | Refused:
-    return loaded(worker, plan) if plan.is_open else Refused("not enough memory")
+def only_the_first_loads(worker: ScriptedWorker, plan: Plan) -> Plan:
+    if plan.settings.runtime != "auto":
+        raise DetectingError("not enough memory")
+    return loaded(worker, plan)
 
 
 def test_a_worker_for_which_there_is_no_room_is_left_out(tmp_path: Path) -> None:
     scripted = ScriptedRun(tmp_path, on_load=only_the_first_loads)
     assert scripted.run().states["done"] == 4
-    (remark,) = scripted.notes.remarks
-    assert remark == "continuing with 1 worker(s): another one could not start: not enough memory"
+    (told,) = scripted.notes.told
+    assert told == "continuing with 1 worker(s): another one could not start: not enough memory"
 
 
 def test_the_last_worker_is_not_left_out(tmp_path: Path) -> None:
@@ -227,8 +213,8 @@ def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) ->
             time.sleep(0.001)
         raise ChildProcessError("it died")
 
-    def interrupt(batch: BatchProgress) -> None:
-        if batch.images:
+    def interrupt(shown: str) -> None:
+        if ", 0 images" not in shown:
             raise KeyboardInterrupt
 
     scripted = ScriptedRun(tmp_path, 3, on_load=only_the_first_loads, on_detect=detect, on_progress=interrupt)
@@ -236,11 +222,14 @@ def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) ->
         scripted.run()
     assert len(scripted.begun) == 1
     assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
-    assert all(remark.startswith("continuing with") for remark in scripted.notes.remarks)
+    assert all(told.startswith("continuing with") for told in scripted.notes.told)
 
 
 def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
-    scripted = ScriptedRun(tmp_path, on_detect=lambda *_: Refused("No space left on device"))
+    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+        raise DetectingError("No space left on device")
+
+    scripted = ScriptedRun(tmp_path, on_detect=detect)
     with pytest.raises(DetectingError, match="No space left"):
         scripted.run()
 
@@ -264,8 +253,12 @@ def test_without_pyarrow_the_table_is_missing_and_the_remedy_is_given(
     scripted.run()
     assert [path.name for path in scripted.plan.output.iterdir()] == ["summary.json"]
     assert json.loads((scripted.plan.output / "summary.json").read_text())["states"]["done"] == 4
-    (remark,) = scripted.notes.remarks
-    assert remark.endswith("-m pip install pyarrow")
+    (told,) = scripted.notes.told
+    assert told.endswith("-m pip install pyarrow")
+
+
+def no_memory(worker: ScriptedWorker, plan: Plan) -> Plan:
+    raise DetectingError("no memory")
 
 
 def summaries(folder: Path) -> dict[str, bytes]:
@@ -279,7 +272,7 @@ def test_the_old_summary_stays_until_the_new_one_is_whole(
     before = summaries(tmp_path / "found")
     assert before.keys() == {"summary.json", "summary.parquet"}
     with pytest.raises(DetectingError, match="no memory"):
-        ScriptedRun(tmp_path, on_load=lambda *_: Refused("no memory")).run()
+        ScriptedRun(tmp_path, on_load=no_memory).run()
     assert summaries(tmp_path / "found") == before
     synchronised: list[int] = []
 
@@ -295,11 +288,14 @@ def test_the_old_summary_stays_until_the_new_one_is_whole(
 
 
 def test_names_in_a_report_are_one_line_without_escapes() -> None:
-    line = objects_line(Counter({"\x1b[2K\rERROR": 2, "a\nb": 1, "\u202eabc": 1}))
-    assert line.count("\n") == 1
-    assert line.rstrip("\n").isprintable()
-    assert len(objects_line(Counter({"x" * 200 + str(number): 1 for number in range(10_000)}))) < 10_100
-    assert str(BatchProgress(0)).count("\n") == 4
+    def line(**objects: int) -> str:
+        return report(RunStatistics(0).counts, Counter(objects), expected=0).partition("\n")[2]
+
+    odd = line(**{"\x1b[2K\rERROR": 2, "a\nb": 1, "\u202eabc": 1})
+    assert odd.count("\n") == 1
+    assert odd.rstrip("\n").isprintable()
+    assert len(line(**{"x" * 200 + str(number): 1 for number in range(10_000)})) < 10_100
+    assert str(Batch(0)).count("\n") == 4
 
 
 @pytest.mark.parametrize(

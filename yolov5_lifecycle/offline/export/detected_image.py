@@ -26,11 +26,12 @@ class NamedImage(StoredImage, Protocol):
         """What tells it from the others: `file`, `frame`, or `stamp_ns` and `frame`. Raises ImageError."""
 
     @property
-    def stem(self) -> str:
-        """Name of files about this image, without a suffix; raises ImageError.
+    def number(self) -> int:
+        """Its number in the source, from 0."""
 
-        Image files may share it, other images do not.
-        """
+    @property
+    def stem(self) -> str:
+        """Name of files about this image, without a suffix; others may have it, too. Raises ImageError."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +41,8 @@ class DetectedImage:
     named: NamedImage
     image: ColourImage
     detections: Detections
+    name: str
+    """Its stem, with its number if an earlier image has that stem."""
 
     def mask(self, row: int) -> tuple[dict[str, object], int] | None:
         """COCO's RLE of the mask of detection `row` and its number of pixels; None without masks."""

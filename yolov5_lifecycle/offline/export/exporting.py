@@ -12,11 +12,15 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.annotated_files import AnnotatedImages, AnnotatedVideo, check_video_name
 from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
-from yolov5_lifecycle.offline.export.crops import Crops
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
-from yolov5_lifecycle.offline.export.formats import FORMATS
+from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, JsonLines, check_stems
+from yolov5_lifecycle.offline.export.image_outputs import (
+    AnnotatedImages,
+    AnnotatedVideo,
+    Crops,
+    check_video_name,
+)
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
 
 
@@ -62,8 +66,10 @@ class Export:
         names = detector.class_names
         if self.crops is not None:
             yield Crops(self.crops, names)
-        if self.suffix:
-            yield FORMATS[self.suffix].new_sink(self.path, names, masks=self.masks)
+        if self.path is None:
+            yield JsonLines(None, names, masks=self.masks)
+        elif self.suffix:
+            yield FORMATS[self.suffix](self.path, names, masks=self.masks)
 
 
 def write_files(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
@@ -79,8 +85,8 @@ def write_files(source: Path, export: Export, load: LoadDetector) -> RunStatisti
         film = partial(AnnotatedVideo, annotated, video.rate_hz) if annotated else None
         return export_images(video.frames, video.claimed_frames, export, load, film)
     files = image_files(source)
-    if check_images := FORMATS[export.suffix].check_images:
-        check_images(files)
+    if export.suffix == YOLO:
+        check_stems(files)
     drawings = partial(AnnotatedImages, annotated, source.is_dir()) if annotated else None
     return export_images(files, len(files), export, load, drawings)
 
@@ -97,6 +103,7 @@ def export_images(
     Raises OutputError, OSError, DetectingError and what `load` raises; then the outputs are damaged.
     """
     detector = load()
+    owners: dict[str, int] = {}
     with ExitStack() as stack:
         sinks = []
         for sink in chain([further(detector)] if further else [], export.sinks(detector)):
@@ -104,7 +111,7 @@ def export_images(
             sinks.append(sink)
 
         def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
-            found = DetectedImage(named, image, detections)
+            found = DetectedImage(named, image, detections, _name(named, owners))
             for sink in sinks:
                 sink.add(found)
 
@@ -112,3 +119,14 @@ def export_images(
         for sink in sinks:
             sink.finish()
     return statistics
+
+
+def _name(named: NamedImage, owners: dict[str, int]) -> str:
+    """A name of files about one image only, whatever its case; `owners` has the numbers of those before.
+
+    `_frame_` sorts it behind the files of the first image of that name.
+    """
+    name = named.stem
+    while owners.setdefault(name.casefold(), named.number) != named.number:
+        name += f"_frame_{named.number:06}"
+    return name

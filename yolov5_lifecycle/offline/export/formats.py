@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-import shutil
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -20,8 +18,8 @@ from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedI
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.missing_package import absence_of
 
-JSON_LINES = ".jsonl"
-"""The format of images and videos whose output has no suffix."""
+JSON_LINES, YOLO = ".jsonl", ".yolo"
+"""Suffixes: JSON lines are the format of images and videos whose output has no suffix."""
 COLUMNS = {
     "width": "int32",
     "height": "int32",
@@ -39,17 +37,35 @@ _GROUP_ROWS = 1 << 16
 """Rows that are held in memory before they are written."""
 
 
-class JsonLines(Sink):
+class Format(Sink):
+    """A format of exported detections, written to a new file or folder."""
+
+    description: str
+    has_masks = False
+    has_ids = True
+    package = ""
+    """The package that writes it; "" if this one does."""
+
+    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+        """`masks`: whether to write the masks of a segmentation model, if the format has some."""
+        self._class_names = class_names
+        self._masks = masks
+
+
+class JsonLines(Format):
     """Writes a line for each image to the new file `path`, or to stdout.
 
     A line has the identity of the image, its size and its detections, boxes in image pixels. With `masks`
     each detection that has a mask gets it as COCO's RLE of the whole image.
     """
 
+    description = "JSON lines"
+    has_masks = True
+
     def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
-        self._file = None if path is None else path.open("w", encoding="utf-8")
         self._class_names = class_names
         self._masks = masks
+        self._file = None if path is None else path.open("w", encoding="utf-8")
 
     def add(self, found: DetectedImage) -> None:
         height, width = found.image.size_hw
@@ -68,53 +84,50 @@ class JsonLines(Sink):
             self._file.close()
 
 
-class CocoJson(Sink):
-    """Writes the new file `path`, whatever the number of images: annotations wait in a file beside it.
+class CocoJson(Format):
+    """Writes annotations as they come and images at the end.
 
     Ids of images and annotations begin with 1, because pycocotools takes 0 for none.
     """
 
+    description = "COCO"
+    has_masks = True
+
     def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        self._waiting = path.with_name(path.name + ".annotations")
-        self._masks = masks
-        self._images = 0
+        super().__init__(path, class_names, masks=masks)
+        self._images: list[str] = []
         self._objects = 0
-        categories = [{"id": number, "name": name} for number, name in enumerate(class_names)]
         self._file = path.open("w", encoding="utf-8")
-        self._annotations = self._waiting.open("w+", encoding="utf-8")
-        self._file.write(f'{{"categories": {json.dumps(categories)},\n"images": [')
+        self._file.write('{"annotations": [')
 
     def add(self, found: DetectedImage) -> None:
-        self._file.write(_separated(self._images, self._image(found)))
-        self._images += 1
+        self._images.append(json.dumps(self._image(found)))
         for row in range(len(found.detections)):
-            self._annotations.write(_separated(self._objects, self._annotation(found, row)))
+            annotation = json.dumps(self._annotation(found, row))
+            self._file.write(f"{',' if self._objects else ''}\n{annotation}")
             self._objects += 1
 
     def finish(self) -> None:
-        self._file.write('],\n"annotations": [')
-        self._annotations.seek(0)
-        shutil.copyfileobj(self._annotations, self._file)
-        self._file.write("]}\n")
+        categories = [{"id": number, "name": name} for number, name in enumerate(self._class_names)]
+        images = ",\n".join(self._images)
+        self._file.write(f'],\n"images": [\n{images}],\n"categories": {json.dumps(categories)}}}\n')
         self.close()
 
     def close(self) -> None:
-        self._annotations.close()
-        self._waiting.unlink(missing_ok=True)
         self._file.close()
 
     def _image(self, found: DetectedImage) -> dict[str, object]:
         height, width = found.image.size_hw
         identity = dict(found.named.identity)
         file = identity.pop("file", None)
-        name = found.named.stem if file is None else Path(str(file)).name
-        return {"id": self._images + 1, "file_name": name, "width": width, "height": height, **identity}
+        name = found.name if file is None else Path(str(file)).name
+        return {"id": len(self._images) + 1, "file_name": name, "width": width, "height": height, **identity}
 
     def _annotation(self, found: DetectedImage, row: int) -> dict[str, object]:
         x1, y1, x2, y2 = found.detections.boxes_xyxy[row].tolist()
         annotation: dict[str, object] = {
             "id": self._objects + 1,
-            "image_id": self._images,
+            "image_id": len(self._images),
             "category_id": int(found.detections.class_ids[row]),
             "bbox": [x1, y1, x2 - x1, y2 - y1],
             "area": (x2 - x1) * (y2 - y1),
@@ -126,11 +139,6 @@ class CocoJson(Sink):
         if found.detections.track_ids:
             annotation["track_id"] = found.detections.track_ids[row]
         return annotation
-
-
-def _separated(before: int, record: dict[str, object]) -> str:
-    """`record` for a list that already has `before` of them."""
-    return f"{',' if before else ''}\n{json.dumps(record)}"
 
 
 def _table_rows(found: DetectedImage, class_names: Sequence[str]) -> Iterator[tuple[object, ...]]:
@@ -146,12 +154,13 @@ def _table_rows(found: DetectedImage, class_names: Sequence[str]) -> Iterator[tu
         )
 
 
-class CsvTable(Sink):
-    """Writes the new CSV file `path` with the names of the columns in its first line."""
+class CsvTable(Format):
+    """Writes a table with the names of the columns in its first line."""
+
+    description = "CSV"
 
     def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        del masks  # a table has none
-        self._class_names = class_names
+        super().__init__(path, class_names, masks=masks)
         self._file = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._has_header = False
@@ -166,12 +175,14 @@ class CsvTable(Sink):
         self._file.close()
 
 
-class ParquetTable(Sink):
-    """Writes the new Parquet file `path`; needs pyarrow."""
+class ParquetTable(Format):
+    """Writes the same table in groups of rows; needs pyarrow."""
+
+    description = "Parquet"
+    package = "pyarrow"
 
     def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        del masks  # a table has none
-        self._class_names = class_names
+        super().__init__(path, class_names, masks=masks)
         self._file = path.open("wb")
         self._schema: Any = None
         self._writer: Any = None
@@ -220,14 +231,17 @@ def _utf8(value: str | int) -> str | int:
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
-class YoloFolder(Sink):
-    """Writes the new folder `path`: `labels/<stem>.txt` for each image, and `data.yaml` with the classes.
+class YoloFolder(Format):
+    """Writes `labels/<image>.txt` for each image, and `data.yaml` with the classes.
 
     An image without detections has an empty file. The data set is complete once its images are in `images`.
     """
 
+    description = "a folder of YOLO text"
+    has_ids = False
+
     def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        del masks  # only boxes
+        super().__init__(path, class_names, masks=masks)
         self._labels = path / "labels"
         self._labels.mkdir(parents=True)
         description = {"train": "images", "val": "images", "names": dict(enumerate(class_names))}
@@ -241,13 +255,13 @@ class YoloFolder(Sink):
                 found.detections.class_ids.tolist(), _relative_boxes(found), strict=True
             )
         )
-        with (self._labels / f"{found.named.stem}.txt").open("x", encoding="ascii") as file:
+        with (self._labels / f"{found.name}.txt").open("x", encoding="ascii") as file:
             file.write(lines)
 
 
-def _check_stems(images: Sequence[NamedImage]) -> None:
-    """Raise OutputError if two of `images` would share one file of labels."""
-    stem, count = Counter(image.stem for image in images).most_common(1)[0]
+def check_stems(images: Sequence[NamedImage]) -> None:
+    """Raise OutputError if two of `images` would share one file of YOLO text."""
+    stem, count = Counter(image.stem.casefold() for image in images).most_common(1)[0]
     if count > 1:
         raise OutputError(
             f"{in_one_line(stem)}: {count} images have this name, but YOLO text has one file for each: "
@@ -264,31 +278,8 @@ def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, flo
     ]
 
 
-@dataclass(frozen=True)
-class Format:
-    """A format of exported detections."""
-
-    description: str
-    new_sink: Callable[..., Sink]
-    """Opens the output at a path, for detections of the classes, with `masks` if it can hold them."""
-    has_masks: bool
-    has_ids: bool = True
-    check_images: Callable[[Sequence[NamedImage]], None] | None = None
-    """Raises OutputError for image files that it cannot tell apart."""
-    package: str = ""
-    """The package that writes it; "" if this one does."""
-
-
-FORMATS: Mapping[str, Format] = MappingProxyType(
-    {
-        JSON_LINES: Format("JSON lines", JsonLines, has_masks=True),
-        ".json": Format("COCO", CocoJson, has_masks=True),
-        ".csv": Format("CSV", CsvTable, has_masks=False),
-        ".parquet": Format("Parquet", ParquetTable, has_masks=False, package="pyarrow"),
-        ".yolo": Format(
-            "a folder of YOLO text", YoloFolder, has_masks=False, has_ids=False, check_images=_check_stems
-        ),
-    }
+FORMATS: Mapping[str, type[Format]] = MappingProxyType(
+    {JSON_LINES: JsonLines, ".json": CocoJson, ".csv": CsvTable, ".parquet": ParquetTable, YOLO: YoloFolder}
 )
 """By suffix of the output."""
 

@@ -19,8 +19,10 @@ _ANSWER_S = 10.0
 def connected(address: str) -> int:
     """Connect to the cluster at `address` and return the number of its processors; raises ConnectionError."""
     handler = signal.getsignal(signal.SIGTERM)
+    host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
-        _check_answer(address)
+        if port.isdecimal():  # Ray would wait forever for an address where nothing listens
+            socket.create_connection((host.strip("[]"), int(port)), _ANSWER_S).close()
         ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
         signal.signal(signal.SIGTERM, handler)  # Ray's would end this process with code 15
     except Exception as error:  # it raises whatever its parts raise
@@ -33,13 +35,6 @@ def connected(address: str) -> int:
         ray.shutdown()
         raise ConnectionError(f"--ray {address}: the cluster has no CPUs; start a Ray node that has some.")
     return processors
-
-
-def _check_answer(address: str) -> None:
-    """Raise OSError unless something listens at `address`: Ray would wait for it forever."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if port.isdecimal():
-        socket.create_connection((host.strip("[]"), int(port)), _ANSWER_S).close()
 
 
 class RayWorker(Worker):
@@ -58,7 +53,7 @@ class RayWorker(Worker):
     def close(self) -> None:
         """Ray does not say when it has ended."""
 
-    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+    def _answer(self, method: str, argument: object, on_image: OnImage) -> Any:
         try:
             return ray.get(getattr(self._actor, method).remote(argument))
         except ray.exceptions.RayError as error:

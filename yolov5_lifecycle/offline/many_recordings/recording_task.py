@@ -10,18 +10,16 @@ from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.offline.detecting import OfflineDetector, RunStatistics, prepared_for
+from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics, prepared_for
 from yolov5_lifecycle.offline.export.exporting import write_files
 from yolov5_lifecycle.offline.export.formats import JSON_LINES
 from yolov5_lifecycle.offline.many_recordings.results import (
     Plan,
     Record,
     RecordingResult,
-    Refused,
-    content_sha256,
-    file_stamps,
     finished_before,
     is_replaceable,
+    recording_digest,
     result_bytes,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
@@ -47,54 +45,70 @@ class RecordingTask:
     def __init__(self, plan: Plan, on_image: OnImage, *, prepare: Prepare = prepare_model) -> None:
         self._plan = plan
         self._on_image = on_image
+        self._first_problem = ""
         self._prepared = prepared_for(plan.settings, prepare)
         self.runtime = self._prepared.detector.runtime.name
         self.precision = self._prepared.detector.runtime.precision
-        self._detector(_Listener(on_image))  # refuses classes that the model does not have
+        self._detector()  # refuses classes that the model does not have
 
-    def run(self, source: SourceRecording) -> RecordingResult | Refused:
+    def run(self, source: SourceRecording) -> RecordingResult | DetectingError:
         """Write the result of `source`, unless it exists; return its row, with the reason if that failed.
 
-        Where every other recording would fail, too, refuses for lack of room, or raises DeviceLostError.
+        Where every other recording would fail, too, returns an error for lack of room, or raises
+        DeviceLostError.
         """
         begun_s = time.monotonic()
-        listener = _Listener(self._on_image)
+        self._first_problem = ""
         try:
-            return self._result(source, listener, begun_s)
+            return self._result(source, begun_s)
         except Exception as error:  # noqa: BLE001 - one recording must not end the others
             if isinstance(error.__cause__, DeviceLostError):
                 raise error.__cause__ from None
             if getattr(error, "errno", None) in _NO_ROOM:
-                return Refused(in_lines(f"{self._plan.output}: {error}"))
+                return DetectingError(in_lines(f"{self._plan.output}: {error}"))
             return RecordingResult(
                 recording=source.name,
                 path=str(source.path),
                 state="failed",
                 reason=in_lines(str(error) or type(error).__name__),
-                first_problem=listener.first_problem,
+                first_problem=self._first_problem,
                 seconds=time.monotonic() - begun_s,
             )
 
-    def _result(self, source: SourceRecording, listener: _Listener, begun_s: float) -> RecordingResult:
-        if (finished := finished_before(source, self._plan, by_content=True)) is not None:
+    def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
+        self._first_problem = self._first_problem or in_one_line(f"{label}: {outcome.value}: {error}")
+
+    def progress(self, statistics: RunStatistics) -> None:
+        self._on_image(statistics.outcomes.total())
+
+    def _result(self, source: SourceRecording, begun_s: float) -> RecordingResult:
+        if (finished := finished_before(source, self._plan)) is not None:
             return finished  # perhaps by a worker that was then killed
-        target, files = self._plan.output / source.name, file_stamps(source.path)
+        target, digest = self._plan.output / source.name, recording_digest(source.path)
         with whole_output(target, replace=is_replaceable(target)) as unfinished:
-            statistics = self._detect(source.path, unfinished, listener)
-            result = self._row(source, statistics, listener, time.monotonic() - begun_s)
+            statistics = self._detect(source.path, unfinished)
+            result = RecordingResult(
+                recording=source.name,
+                path=str(source.path),
+                state="done",
+                first_problem=self._first_problem,
+                seconds=round(time.monotonic() - begun_s, 3),
+                runtime=self.runtime,
+                detections={name: statistics.objects[name] for name in self._prepared.detector.class_names},
+                **statistics.counts,
+            )
             Record(
                 weights_sha256=self._plan.settings.weights_sha256,
                 settings_sha256=self._plan.settings_sha256,
-                recording_sha256=content_sha256(source.path),
-                recording_files=files,
+                recording_sha256=digest,
                 result_bytes=result_bytes(unfinished),
                 result=result,
             ).write(unfinished)
-            if file_stamps(source.path) != files:
+            if recording_digest(source.path) != digest:
                 raise SourceError(f"{source.path}: it changed while it was read. Is it still being recorded?")
         return result
 
-    def _detect(self, source: Path, unfinished: Path, listener: _Listener) -> RunStatistics:
+    def _detect(self, source: Path, unfinished: Path) -> RunStatistics:
         export = self._plan.export
         suffix = export.suffix or (JSON_LINES if is_video(source) else "")
         if suffix:
@@ -103,52 +117,17 @@ class RecordingTask:
         crops = unfinished / export.crops if export.crops else None
         export = replace(export, path=path, suffix=suffix, crops=crops)
         if is_video(source):
-            return write_files(source, export, lambda: self._detector(listener))
+            return write_files(source, export, self._detector)
         # Imported here: videos do not need rosbags.
         from yolov5_lifecycle.offline.detect_recording import write_recording
 
-        return write_recording(source, export, lambda: self._detector(listener))
+        return write_recording(source, export, self._detector)
 
-    def _detector(self, listener: _Listener) -> OfflineDetector:
+    def _detector(self) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
         return OfflineDetector(
             self._plan.settings,
-            listener,
+            self,
             with_masks=self._plan.export.needs_masks,
             prepare=lambda *_: self._prepared,
         )
-
-    def _row(
-        self, source: SourceRecording, statistics: RunStatistics, listener: _Listener, seconds: float
-    ) -> RecordingResult:
-        balance = statistics.balance
-        return RecordingResult(
-            recording=source.name,
-            path=str(source.path),
-            state="done",
-            images=balance.received,
-            detected=balance[Outcome.DETECTED],
-            rejected=balance[Outcome.REJECTED],
-            failed=balance[Outcome.FAILED],
-            missing=statistics.missing,
-            late=statistics.stamps.late,
-            jumps=statistics.stamps.jumps,
-            first_problem=listener.first_problem,
-            seconds=round(seconds, 3),
-            runtime=self.runtime,
-            detections={name: statistics.objects[name] for name in self._prepared.detector.class_names},
-        )
-
-
-class _Listener:
-    """Keeps the first problem and passes on the number of images."""
-
-    def __init__(self, on_image: OnImage) -> None:
-        self._on_image = on_image
-        self.first_problem = ""
-
-    def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
-        self.first_problem = self.first_problem or in_one_line(f"{label}: {outcome.value}: {error}")
-
-    def progress(self, statistics: RunStatistics) -> None:
-        self._on_image(statistics.balance.received)

@@ -11,38 +11,33 @@ from pathlib import Path
 from typing import get_args
 
 from yolov5_lifecycle.atomic_file import OutputError, atomic_write, write_together
-from yolov5_lifecycle.offline.many_recordings.results import COUNTED, Plan, RecordingResult, State
-from yolov5_lifecycle.offline.terminal import ProgressLine, objects_line, order_line
+from yolov5_lifecycle.offline.detecting import RunStatistics
+from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, State
+from yolov5_lifecycle.offline.terminal import report
 from yolov5_lifecycle.process.missing_package import absence_of
-from yolov5_lifecycle.process.standard_streams import complain
 
 JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
 CLASS_COLUMN = "detections/"
 """Prefix of the columns of classes in the table."""
 _BEGIN = b'{\n "weights": "'
+_COUNTED = tuple(RunStatistics(0).counts)
+"""Columns of a row that are summed up for all recordings."""
 _TYPES = dict.fromkeys(RecordingResult.model_fields, "string") | {
-    **dict.fromkeys((*COUNTED, "detections"), "int64"),
+    **dict.fromkeys((*_COUNTED, "detections"), "int64"),
     "seconds": "float64",
 }
 """Of the columns of the table, in their order."""
 
 
-class BatchProgress:
-    """The results of a run over `count` recordings."""
+class Batch:
+    """The results of a run over `count` recordings; `str` of it is a summary for the user."""
 
     def __init__(self, count: int) -> None:
         self.count = count
         self.results: dict[str, RecordingResult] = {}
+        self.begun_s = time.monotonic()
+        """When the first model was loaded."""
         self._in_progress: dict[str, int] = {}
-        self._begun_s: float | None = None
-
-    def begin(self) -> None:
-        """The first model is loaded."""
-        self._begun_s = self._begun_s or time.monotonic()
-
-    @property
-    def has_begun(self) -> bool:
-        return self._begun_s is not None
 
     def progress(self, recording: str, images: int) -> None:
         """So many images of `recording` are done; any thread may call it."""
@@ -60,8 +55,8 @@ class BatchProgress:
 
     @property
     def rate_hz(self) -> float:
-        """Images per second since the first model was loaded, of all workers together."""
-        return 0.0 if self._begun_s is None else self.images / max(time.monotonic() - self._begun_s, 1e-9)
+        """Images per second of all workers together."""
+        return self.images / max(time.monotonic() - self.begun_s, 1e-9)
 
     @property
     def is_complete(self) -> bool:
@@ -76,8 +71,8 @@ class BatchProgress:
 
     @property
     def counts(self) -> dict[str, int]:
-        """The sum of each of COUNTED."""
-        return {name: sum(getattr(row, name) for row in self.results.values()) for name in COUNTED}
+        """The sum of each of the counted columns."""
+        return {name: sum(getattr(row, name) for row in self.results.values()) for name in _COUNTED}
 
     @property
     def detections(self) -> Counter[str]:
@@ -88,32 +83,12 @@ class BatchProgress:
         return found
 
     def __str__(self) -> str:
-        """Summary for the user, one fact per line."""
         counts = self.counts
         states = ", ".join(f"{count} {state}" for state, count in self.states.items())
-        missing = f", {counts['missing']} missing" if counts["missing"] else ""
         return (
             f"recordings  {self.count}: {states}\n"
-            f"images      {counts['images']}: {counts['detected']} detected, {counts['rejected']} rejected, "
-            f"{counts['failed']} failed{missing}\n"
-            f"{objects_line(+self.detections)}"
-            f"{order_line(counts['late'], counts['jumps'])}"
+            f"{report(counts, +self.detections, expected=counts['images'] + counts['missing'])}"
             f"rate        {self.rate_hz:.1f} images per second in this run\n"
-        )
-
-
-class BatchTerminal(ProgressLine):
-    """Reports what went wrong, and progress over all."""
-
-    def remark(self, text: str) -> None:
-        """Tell what the user should know, such as a recording without a result."""
-        self.close()
-        complain("detect_bag", text)
-
-    def progress(self, batch: BatchProgress) -> None:
-        self.show(
-            f"{len(batch.results)} of {batch.count} recordings, {batch.images} images, "
-            f"{batch.rate_hz:.1f} per second"
         )
 
 
@@ -122,18 +97,16 @@ def check_summary(folder: Path) -> None:
 
     The table is written after the JSON file: without that it belongs to another program.
     """
-    json_file, table = folder / JSON_NAME, folder / PARQUET_NAME
-    if json_file.is_file():
-        with json_file.open("rb") as opened:
-            if opened.read(len(_BEGIN)) == _BEGIN:
-                return
-    for file in (json_file, table):
+    files = [folder / JSON_NAME, folder / PARQUET_NAME]
+    if files[0].is_file() and files[0].read_bytes().startswith(_BEGIN):
+        return
+    for file in files:
         if os.path.lexists(file):
             raise OutputError(f"{file} is not a summary of detect_bag: move it, or choose another --output.")
 
 
-def write_summary(plan: Plan, batch: BatchProgress, order: Sequence[str]) -> list[str]:
-    """Write both files, with rows in `order`, and return why one was left out. Raises OSError.
+def write_summary(plan: Plan, batch: Batch, order: Sequence[str]) -> str:
+    """Write both files, with rows in `order`; returns why the table was left out, or "". Raises OSError.
 
     They replace those of an earlier run when both are whole.
     """
@@ -148,14 +121,14 @@ def write_summary(plan: Plan, batch: BatchProgress, order: Sequence[str]) -> lis
         "detections": batch.detections,
         "results": [row.model_dump() for row in rows],
     }
-    text = json.dumps(content, indent=1, ensure_ascii=False).encode("utf-8", "backslashreplace")
+    text = json.dumps(content, indent=1, ensure_ascii=False).encode("utf-8", "backslashreplace") + b"\n"
     json_file, table = plan.output / JSON_NAME, plan.output / PARQUET_NAME
     if absence := absence_of("pyarrow"):
-        atomic_write(json_file, text, b"\n")
+        atomic_write(json_file, text)
         table.unlink(missing_ok=True)  # it would be that of an earlier run
-        return [f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"]
-    write_together({json_file: text + b"\n", table: _parquet(rows)})
-    return []
+        return f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"
+    write_together({json_file: text, table: _parquet(rows)})
+    return ""
 
 
 def _parquet(results: Sequence[RecordingResult]) -> bytes:

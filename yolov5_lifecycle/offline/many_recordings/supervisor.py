@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from threading import Lock
-from typing import Any
 
 from yolov5_lifecycle.atomic_file import OutputError, has_unfinished_outputs
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused, finished_before
-from yolov5_lifecycle.offline.many_recordings.summary import (
-    BatchProgress,
-    BatchTerminal,
-    check_summary,
-    write_summary,
-)
+from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, finished_before
+from yolov5_lifecycle.offline.many_recordings.summary import Batch, check_summary, write_summary
 from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
-from yolov5_lifecycle.offline.terminal import missing_images
+from yolov5_lifecycle.offline.terminal import Terminal, missing_images
 from yolov5_lifecycle.printable import is_utf8
 from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned_folders
 
@@ -39,14 +34,14 @@ def detect_recordings(
     plan: Plan,
     *,
     new_workers: Callable[[int], Sequence[Worker]],
-    terminal: BatchTerminal,
-) -> BatchProgress:
+    terminal: Terminal,
+) -> Batch:
     """Write a result for each of `sources`, and a summary, to the folder `plan.output`.
 
     `new_workers` is called with the number of recordings that have no result yet, unless that is 0. Raises
     OutputError, OSError, and DetectingError if the model cannot be loaded or nothing more can be written.
     """
-    batch = BatchProgress(len(sources))
+    batch = Batch(len(sources))
     with _output_folder(plan.output):
         for source in sources:
             if (finished := finished_before(source, plan)) is not None:
@@ -54,8 +49,8 @@ def detect_recordings(
         check_summary(plan.output)
         if waiting := [source for source in sources if source.name not in batch.results]:
             _Run(plan, new_workers(len(waiting)), batch, terminal).run(waiting)
-        for problem in write_summary(plan, batch, [source.name for source in sources]):
-            terminal.remark(problem)
+        if problem := write_summary(plan, batch, [source.name for source in sources]):
+            terminal.tell(problem)
     return batch
 
 
@@ -99,97 +94,112 @@ def _remove_unfinished(folder: Path) -> None:
 
 
 class _Run:
-    """Hands out recordings to workers, each of which a thread waits for."""
+    """Hands out recordings to workers, each of which has a thread that waits for its answers."""
 
-    def __init__(
-        self, plan: Plan, workers: Sequence[Worker], batch: BatchProgress, terminal: BatchTerminal
-    ) -> None:
+    def __init__(self, plan: Plan, workers: Sequence[Worker], batch: Batch, terminal: Terminal) -> None:
         self._plan = plan
         self._workers = workers
         self._count = len(workers)
         self._batch = batch
         self._terminal = terminal
-        self._free = SimpleQueue[Worker]()
+        self._waiting = SimpleQueue[SourceRecording | None]()
+        self._ended = SimpleQueue[RecordingResult | Exception]()
+        self._deaths = Counter[str]()
         self._lock = Lock()
         self._is_stopping = False
 
     def run(self, sources: Sequence[SourceRecording]) -> None:
+        """Add the results of `sources` to the batch; the first worker chooses the runtime for all."""
+        for source in sources:
+            self._waiting.put(source)
         executor = ThreadPoolExecutor(len(self._workers))
         try:
             first, *others = self._workers
-            running: set[Future[Any]] = {executor.submit(self._start, first)}
-            if self._plan.is_open:  # it chooses for all
-                running.pop().result()
-            running |= {executor.submit(self._start, worker) for worker in others}
-            running |= {executor.submit(self._detect, source) for source in sources}
-            while running:
-                ended, running = wait(running, _PROGRESS_S, FIRST_COMPLETED)
-                for future in ended:
-                    if (result := future.result()) is not None:  # not that a worker has started
-                        self._end(result)
-                self._terminal.progress(self._batch)
+            self._plan = self._loaded(first)
+            self._batch.begun_s = time.monotonic()
+            executor.submit(self._serve, first, is_loaded=True)
+            for worker in others:
+                executor.submit(self._serve, worker, is_loaded=False)
+            self._collect()
         finally:
-            executor.shutdown(wait=False, cancel_futures=True)
             self._stop()
             executor.shutdown()
             for worker in self._workers:
                 worker.close()
 
-    def _end(self, result: RecordingResult) -> None:
-        self._batch.add(result)
-        if result.state == "failed":
-            self._terminal.remark(f"{result.recording}: failed: {result.reason}")
-        elif result.missing:
-            claimed = result.images + result.missing
-            self._terminal.remark(f"{result.recording}: {missing_images(claimed, result.images)}")
+    def _collect(self) -> None:
+        """Add what the threads end until all is there; raises what they raise."""
+        while len(self._batch.results) < self._batch.count:
+            with suppress(Empty):
+                ended = self._ended.get(timeout=_PROGRESS_S)
+                if isinstance(ended, Exception):
+                    raise ended
+                self._batch.add(ended)
+                if ended.state == "failed":
+                    self._terminal.tell(f"{ended.recording}: failed: {ended.reason}")
+                elif ended.missing:
+                    missing = missing_images(ended.images + ended.missing, ended.images)
+                    self._terminal.tell(f"{ended.recording}: {missing}")
+            self._terminal.show(
+                f"{len(self._batch.results)} of {self._batch.count} recordings, {self._batch.images} images, "
+                f"{self._batch.rate_hz:.1f} per second"
+            )
 
-    def _start(self, worker: Worker) -> None:
-        """Load the model; raises DetectingError if that cannot be loaded, unless others have loaded it."""
-        answer = self._load(worker)
-        if not isinstance(answer, Refused):
-            self._plan = answer
-            self._batch.begin()
-            self._free.put(worker)
-            return
-        with self._lock:
-            self._count -= 1
-        if not self._batch.has_begun or not self._count:
-            raise DetectingError(answer.reason)
-        worker.stop()
-        self._terminal.remark(
-            f"continuing with {self._count} worker(s): another one could not start: {answer.reason}"
-        )
+    def _serve(self, worker: Worker, *, is_loaded: bool) -> None:
+        """Let `worker` detect in one recording after the other, until there are none."""
+        try:
+            while is_loaded or self._may_load(worker):
+                if (source := self._waiting.get()) is None:
+                    return
+                is_loaded = self._detect(worker, source)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it ends the run
+            self._ended.put(error)
 
-    def _load(self, worker: Worker, deaths: int = 1) -> Plan | Refused:
+    def _detect(self, worker: Worker, source: SourceRecording) -> bool:
+        """Whether `worker` still lives; if it died, another one begins `source` again, or it has failed."""
+        try:
+            self._ended.put(worker.detect(source, lambda images: self._batch.progress(source.name, images)))
+        except ChildProcessError as error:
+            self._restart(worker)
+            self._deaths[source.name] += 1
+            if self._deaths[source.name] < MAX_DEATHS:
+                self._terminal.tell(f"{source.name}: {error}; another worker retries it")
+                self._waiting.put(source)
+            else:
+                reason = f"{error} {MAX_DEATHS} times while reading this recording"
+                self._ended.put(
+                    RecordingResult(
+                        recording=source.name, path=str(source.path), state="failed", reason=reason
+                    )
+                )
+            return False
+        return True
+
+    def _may_load(self, worker: Worker) -> bool:
+        """Load the model; False if that fails, but not for other workers. Raises DetectingError."""
+        try:
+            self._loaded(worker)
+        except DetectingError as error:
+            with self._lock:
+                self._count -= 1
+                if not self._count:
+                    raise
+            worker.stop()
+            self._terminal.tell(
+                f"continuing with {self._count} worker(s): another one could not start: {error}"
+            )
+            return False
+        return True
+
+    def _loaded(self, worker: Worker, deaths: int = 1) -> Plan:
+        """The plan as `worker` has chosen it; raises DetectingError if it cannot load the model."""
         try:
             return worker.load(self._plan)
         except ChildProcessError as error:
             if deaths == MAX_DEATHS:
                 raise DetectingError(f"{error} while loading the model, {deaths} times in a row") from None
             self._restart(worker)
-            return self._load(worker, deaths + 1)
-
-    def _detect(self, source: SourceRecording, deaths: int = 1) -> RecordingResult:
-        worker = self._free.get()
-        if self._is_stopping:
-            raise ChildProcessError("the worker was stopped")
-        try:
-            answer = worker.detect(source, lambda images: self._batch.progress(source.name, images))
-        except ChildProcessError as error:
-            self._restart(worker)
-            if deaths < MAX_DEATHS:
-                self._terminal.remark(f"{source.name}: {error}; another worker retries it")
-            self._start(worker)
-            if deaths < MAX_DEATHS:
-                return self._detect(source, deaths + 1)
-            reason = f"{error} {deaths} times while reading this recording"
-            return RecordingResult(
-                recording=source.name, path=str(source.path), state="failed", reason=reason
-            )
-        self._free.put(worker)
-        if isinstance(answer, Refused):
-            raise DetectingError(answer.reason)
-        return answer
+            return self._loaded(worker, deaths + 1)
 
     def _restart(self, worker: Worker) -> None:
         with self._lock:
@@ -202,4 +212,4 @@ class _Run:
             self._is_stopping = True
             for worker in self._workers:
                 worker.stop()
-                self._free.put(worker)  # for a thread that waits for one
+                self._waiting.put(None)

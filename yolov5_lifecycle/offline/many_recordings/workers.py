@@ -18,8 +18,9 @@ from yolov5_lifecycle.process.memory import available_bytes
 from yolov5_lifecycle.process.standard_streams import complain
 
 if TYPE_CHECKING:
+    from yolov5_lifecycle.offline.detecting import DetectingError
     from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage, RecordingTask
-    from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, Refused
+    from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult
     from yolov5_lifecycle.offline.recordings import SourceRecording
 
 # The path of this process; `-m` would search the current folder first, which may be one of recordings.
@@ -33,19 +34,28 @@ _END_S = 10.0
 class Worker(ABC):
     """Somewhere else, where it does what `Work` says; begins without a model."""
 
-    def load(self, plan: Plan) -> Plan | Refused:
-        """Load the model; returns the plan with what was chosen. Raises ChildProcessError if it dies."""
-        answer: Plan | Refused = self._answer("load", plan)
-        return answer
+    def load(self, plan: Plan) -> Plan:
+        """Load the model; returns the plan with what was chosen.
 
-    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult | Refused:
-        """Write the result of a recording; raises ChildProcessError."""
-        answer: RecordingResult | Refused = self._answer("detect", source, on_image)
+        Raises DetectingError if it cannot be loaded, and ChildProcessError if the worker dies.
+        """
+        chosen: Plan = self._done("load", plan)
+        return chosen
+
+    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult:
+        """Write the result of a recording; raises DetectingError for lack of room, and ChildProcessError."""
+        result: RecordingResult = self._done("detect", source, on_image)
+        return result
+
+    def _done(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+        answer = self._answer(method, argument, on_image)
+        if isinstance(answer, Exception):
+            raise answer
         return answer
 
     @abstractmethod
     def restart(self) -> None:
-        """Begin anew after it has died."""
+        """Begin again after it has died."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -56,32 +66,32 @@ class Worker(ABC):
         """Wait until it has ended."""
 
     @abstractmethod
-    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+    def _answer(self, method: str, argument: object, on_image: OnImage) -> Any:
         """What the `method` of its `Work` returns."""
 
 
 class Work:
-    """What a worker does, where it is."""
+    """What a worker does, where it is; an error that it returns is raised where the answer arrives."""
 
     def __init__(self, on_image: OnImage = lambda _: None) -> None:
         prepare_environment()
         self._on_image = on_image
         self._task: RecordingTask | None = None
 
-    def load(self, plan: Plan) -> Plan | Refused:
+    def load(self, plan: Plan) -> Plan | DetectingError:
         # Imported here: they import torch, for which the environment must be prepared.
+        from yolov5_lifecycle.offline.detecting import DetectingError
         from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
-        from yolov5_lifecycle.offline.many_recordings.results import Refused
         from yolov5_lifecycle.printable import in_lines
         from yolov5_lifecycle.runtimes.runtime import InferenceError
 
         try:
             self._task = RecordingTask(plan, self._on_image)
         except (ValueError, OSError, ImportError, InferenceError) as error:
-            return Refused(in_lines(str(error) or type(error).__name__))
+            return DetectingError(in_lines(str(error) or type(error).__name__))
         return plan.chosen(self._task.runtime, self._task.precision)
 
-    def detect(self, source: SourceRecording) -> RecordingResult | Refused:
+    def detect(self, source: SourceRecording) -> RecordingResult | DetectingError:
         assert self._task is not None
         return self._task.run(source)
 
@@ -91,17 +101,14 @@ def main(descriptor: int) -> NoReturn:
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda number, _: sys.exit(128 + number))
     os.set_inheritable(descriptor, False)
-    code = 1
     try:
         _serve(Connection(descriptor))
-    except (EOFError, ConnectionError):  # nobody waits for the results any more
-        code = 0
-    except SystemExit as end:
-        code = int(end.code or 0)
+    except (EOFError, ConnectionError):
+        pass  # nobody waits for the results any more
     except Exception as error:  # noqa: BLE001 - whatever it is, the process ends
         complain("detect_bag", f"a worker ends: {type(error).__name__}: {error}")
     finally:
-        os._exit(code)  # freeing a model takes longer than ending
+        os._exit(1)  # freeing a model takes longer than ending
 
 
 def _serve(connection: Connection[Any, Any]) -> NoReturn:
@@ -155,7 +162,7 @@ class ProcessWorker(Worker):
             self.process.kill()
             self.process.wait()
 
-    def _answer(self, method: str, argument: object, on_image: OnImage = lambda _: None) -> Any:
+    def _answer(self, method: str, argument: object, on_image: OnImage) -> Any:
         try:
             self._connection.send((method, argument))
             while isinstance(answer := self._connection.recv(), int):

@@ -1,7 +1,10 @@
-"""Annotated images and videos as files."""
+"""Images that are written beside the detections: annotated images and videos, a JPEG of each detection."""
 
 from __future__ import annotations
 
+import errno
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,11 @@ from yolov5_lifecycle.offline.detecting import OfflineDetector
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 
+MAX_CROPS = 1_000_000
+"""Files of one source: more make a folder unusable."""
+MIN_FREE_BYTES = 256 << 20
+"""Of the disk: what crops leave free."""
+_MAX_NAME_LETTERS = 40
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 _HEADER_BYTES = 16
 _LENGTH_FOLLOWS = 1
@@ -141,3 +149,53 @@ def _box_length(header: bytes) -> tuple[bytes, int]:
     """Name and length of a box of an .mp4 file."""
     length = int.from_bytes(header[:4], "big")
     return header[4:8], int.from_bytes(header[8:16], "big") if length == _LENGTH_FOLLOWS else length
+
+
+class Crops(Sink):
+    """Writes the new folder `path`: `<class id>_<class name>/<image>_<row>.jpg` for each detection.
+
+    Detections of one image are numbered from 0, the highest score first.
+    """
+
+    def __init__(self, path: Path, class_names: Sequence[str]) -> None:
+        path.mkdir()
+        self._path = path
+        self._class_names = class_names
+        self._count = 0
+
+    def add(self, found: DetectedImage) -> None:
+        """Write the crops; raises OutputError beyond MAX_CROPS, and OSError when the disk is nearly full."""
+        self._check_room(found)
+        for row, class_id in enumerate(found.detections.class_ids.tolist()):
+            folder = self._path / f"{class_id}_{_safe(self._class_names[class_id])}"
+            folder.mkdir(exist_ok=True)
+            write_image(folder / f"{found.name}_{row}.jpg", _crop(found, row))
+
+    def _check_room(self, found: DetectedImage) -> None:
+        self._count += len(found.detections)
+        if self._count > MAX_CROPS:
+            raise OutputError(
+                f"--crops: more than {MAX_CROPS:,} detections: raise confidence_threshold, select classes, "
+                "or divide the source."
+            )
+        if len(found.detections) and shutil.disk_usage(self._path).free < MIN_FREE_BYTES:
+            raise OSError(
+                errno.ENOSPC,
+                f"less than {MIN_FREE_BYTES >> 20} MiB are free, which --crops leaves",
+                str(self._path),
+            )
+
+
+def _safe(class_name: str) -> str:
+    """`class_name` as a part of a file name: letters, digits, - and _ stay, all else becomes _."""
+    kept = (letter if letter.isalnum() or letter == "-" else "_" for letter in class_name)
+    return "".join(kept)[:_MAX_NAME_LETTERS]
+
+
+def _crop(found: DetectedImage, row: int) -> ColourImage:
+    """The pixels that the box touches, at least one."""
+    height, width = found.image.size_hw
+    x1, y1, x2, y2 = found.inside_xyxy[row].tolist()
+    left, top = min(int(x1), width - 1), min(int(y1), height - 1)
+    right, bottom = max(int(np.ceil(x2)), left + 1), max(int(np.ceil(y2)), top + 1)
+    return ColourImage(found.image.pixels[top:bottom, left:right], found.image.order)
