@@ -97,7 +97,7 @@ def test_pooling_with_small_windows_one_after_the_other_is_pooling_with_every_wi
     pixels = torch.rand(1, 8, 20, 30, generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():
         narrow = spp.cv1(pixels)
-        expected = spp.cv2(torch.cat([narrow, *(pool(narrow) for pool in spp.m)], dim=1))
+        expected = spp.cv2(torch.cat([narrow, *(pool(narrow) for pool in spp.m.children())], dim=1))
         assert torch.equal(spp(pixels), expected)
 
 

@@ -96,7 +96,7 @@ class _Export(Network):
 
 def _pyramid(module: SPP, features: Tensor) -> Tensor:
     narrow = module.cv1(features)
-    merged: Tensor = module.cv2(torch.cat([narrow, *(pool(narrow) for pool in module.m)], 1))
+    merged: Tensor = module.cv2(torch.cat([narrow, *(pool(narrow) for pool in module.m.children())], 1))
     return merged
 
 
