@@ -36,6 +36,13 @@ def test_a_folder_is_listed_up_to_the_limit(tmp_path: Path) -> None:
         list(entries(filled(tmp_path, LIMIT + 1)))
 
 
+def test_a_folder_is_read_no_further_than_its_files_are_asked_for(tmp_path: Path) -> None:
+    files = FolderTree().files(filled(tmp_path, LIMIT + 1))
+    assert len({next(files) for _ in range(LIMIT)}) == LIMIT
+    with pytest.raises(OSError, match="found more"):
+        next(files)
+
+
 def test_folders_below_count_together_however_often_they_are_listed(tmp_path: Path) -> None:
     filled(tmp_path, 1)
     filled(tmp_path / "below", 1)  # 3 entries: two files and a folder

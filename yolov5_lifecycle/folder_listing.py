@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 MAX_ENTRIES = 1_000_000
@@ -36,8 +37,19 @@ class FolderTree:
 
         A subfolder that cannot be listed is left out. Raises OSError beyond MAX_ENTRIES entries.
         """
-        for parent, folders, names in os.walk(folder):
-            self._listed += len(folders) + len(names)
-            if self._listed > MAX_ENTRIES:
-                raise _too_many(folder)
-            yield from (Path(parent, name) for name in names)
+        waiting = [os.fspath(folder)]
+        while waiting:
+            for entry in _listed(waiting.pop()):
+                self._listed += 1
+                if self._listed > MAX_ENTRIES:
+                    raise _too_many(folder)
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+                else:
+                    yield Path(entry.path)
+
+
+def _listed(folder: str) -> Iterator[os.DirEntry[str]]:
+    """What is in `folder`, one by one; nothing if it cannot be listed."""
+    with suppress(OSError), os.scandir(folder) as found:
+        yield from found

@@ -83,12 +83,16 @@ class Stage:
             self.observer.destroy_subscription(self._subscriptions.pop(topic))
 
     def annotated_image(self, topic: str, shown: Received, count: int) -> NDArray[np.uint8]:
-        """A coming image (H, W, 3) in BGR on `topic` for which a message in `shown` has `count` objects."""
+        """A coming image (H, W, 3) in BGR on `topic` for which a message in `shown` has `count` objects.
+
+        Not the first one, which may have been detected before it was known that masks would be drawn.
+        """
         images = self.collect(Image, topic, kept=20)
 
         def wanted() -> list[Image]:
-            frames = together(images, shown).values()
-            return [image for image, message in frames if len(message.detections) >= count]
+            first_ns, frames = min(images, default=0), together(images, shown)
+            later = [messages for stamp_ns, messages in frames.items() if stamp_ns > first_ns]
+            return [image for image, message in later if len(message.detections) >= count]
 
         self.observer.wait_for(lambda: bool(wanted()), f"an image on {topic} of {count} objects")
         self.release(topic)

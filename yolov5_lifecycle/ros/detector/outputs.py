@@ -45,7 +45,7 @@ class Outputs:
     `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
     leaves.
 
-    Raises rclpy's exception if a publisher cannot be created.
+    Raises rclpy's exception if a publisher cannot be created, after destroying the others.
     """
 
     node: LifecycleNode
@@ -55,11 +55,16 @@ class Outputs:
 
     def __post_init__(self) -> None:
         self._events = PublisherEventCallbacks(matched=lambda _: self.on_subscribers_changed())
-        self.detections = self._publisher(Detection2DArray, DETECTIONS, depth=10)
-        self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, depth=10)
-        self._masks = self._publisher(Image, MASKS, depth=1)
-        self._image = self._publisher(Image, IMAGE, depth=1)
-        self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, depth=1)
+        self._publishers: list[LifecyclePublisher] = []
+        try:
+            self.detections = self._publisher(Detection2DArray, DETECTIONS, depth=10)
+            self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, depth=10)
+            self._masks = self._publisher(Image, MASKS, depth=1)
+            self._image = self._publisher(Image, IMAGE, depth=1)
+            self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, depth=1)
+        except Exception:
+            self.close()
+            raise
 
     @property
     def subscribers(self) -> int:
@@ -105,14 +110,16 @@ class Outputs:
 
     def close(self) -> None:
         """Destroy the publishers."""
-        of_images = self._masks, self._image, self._compressed_image
-        for publisher in (self.detections, self.detections_3d, *of_images):
+        for publisher in self._publishers:
             # destroy_publisher would leave it in the list of managed entities.
             self.node.destroy_lifecycle_publisher(publisher)
+        self._publishers.clear()
 
     def _publisher(self, message_type: type, topic: str, *, depth: int) -> LifecyclePublisher:
         name = of_camera(topic, self.camera)
-        return _created(self.node, message_type, name, QoSProfile(depth=depth), self._events)
+        publisher = _created(self.node, message_type, name, QoSProfile(depth=depth), self._events)
+        self._publishers.append(publisher)
+        return publisher
 
 
 def _created(

@@ -382,10 +382,12 @@ class Session:
 
         Waits for the frames in progress, less the time of earlier waits, see `InferenceThreads.rest`.
         """
-        for name, camera in self.active.items():
+        for camera in self.active.values():
             camera.unsubscribe()
+        has_ended = self.threads.close(timeout_s)  # the last frames may fail, too
+        for name in self.active:
             self.cameras[name].active = None
-        return self.threads.close(timeout_s)
+        return has_ended
 
     def free(self, *, is_at_rest: bool) -> None:
         """Free the model, if it could be loaded; see `PreparedModel.close`."""
