@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import pytest
+from std_msgs.msg import String
 from support.preparations import Preparations
 from support.served_node import PATIENCE_S, STATES, ServedNode, class_ids_of
 
@@ -89,6 +90,16 @@ def test_an_unexpected_exception_while_releasing_releases_the_rest(
     served.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
     served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
     served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
+
+
+def test_a_publisher_that_cannot_be_created_leaves_none_behind(served: ServedNode) -> None:
+    # A participant of Fast DDS has one type for each topic.
+    other = served.client.create_publisher(String, "/yolov5/masks", 1)
+    assert not served.transition("configure")
+    served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
+    served.client.destroy_publisher(other)
+    served.bring_to("inactive")
+    assert served.client.count_publishers("/yolov5/detections") == 1
 
 
 # While the model loads
