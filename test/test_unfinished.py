@@ -127,14 +127,32 @@ def test_other_things_of_that_name_are_left_alone(
     precious = tmp_path_factory.mktemp("precious") / "file"
     precious.write_bytes(b"x")
     (folder / f"{FOLDER_PREFIX}link").symlink_to(precious.parent)
+    os.mkfifo(folder / f"{FOLDER_PREFIX}fifo")
     (folder / "other").mkdir()
     inside = abandoned(folder, "with-a-link")
     (inside / "link").symlink_to(precious)
     remove_abandoned_folders()
     assert sorted(path.name for path in folder.iterdir()) == [
-        f"{FOLDER_PREFIX}link", "other",
+        f"{FOLDER_PREFIX}fifo", f"{FOLDER_PREFIX}link", "other",
     ]  # fmt: skip
     assert precious.read_bytes() == b"x"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
+def test_the_folder_of_another_user_is_left_alone(folder: Path) -> None:
+    other = abandoned(folder, "other")
+    os.chown(other, 65534, 65534)
+    remove_abandoned_folders()
+    assert other.is_dir()
+
+
+def test_a_folder_that_is_named_like_an_unfinished_file_is_left_alone(folder: Path) -> None:
+    precious = folder / ".backup.part" / "precious"
+    precious.mkdir(parents=True)
+    (folder / ".file.part").touch()
+    remove_abandoned(folder, prefix=".", suffix=".part")
+    assert [path.name for path in folder.iterdir()] == [".backup.part"]
+    assert precious.is_dir()
 
 
 def test_a_machine_without_a_folder_for_temporary_files_has_nothing_to_remove(

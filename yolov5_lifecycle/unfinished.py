@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -86,17 +87,20 @@ def remove_abandoned(folder: Path, *, prefix: str, suffix: str = "") -> None:
     """
     for path in folder.iterdir():
         if path.name.startswith(prefix) and path.name.endswith(suffix):
-            with suppress(OSError):
+            with suppress(OSError, RecursionError):  # the latter: too deep to be ours
                 _remove_if_abandoned(path)
 
 
 def _remove_if_abandoned(path: Path) -> None:
     descriptor = open_itself(path)
     try:
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid():
+            return
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError while the owner lives
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
+        if stat.S_ISREG(status.st_mode):
             path.unlink(missing_ok=True)
+        elif stat.S_ISDIR(status.st_mode) and path.name.startswith(FOLDER_PREFIX):
+            shutil.rmtree(path, ignore_errors=True)
     finally:
         os.close(descriptor)

@@ -54,6 +54,12 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
         ),
         pytest.param("438.78", "0", "expected focal lengths above 0", id="not calibrated"),
         pytest.param(
+            "rows: 3\n  cols: 4",
+            "rows: 4\n  cols: 3",
+            "projection_matrix.rows: Input should be 3",
+            id="shape",
+        ),
+        pytest.param(
             "plumb_bob", "equidistant", "expected 4 for equidistant, found 5", id="number of coefficients"
         ),
         pytest.param(FILE, "", "found no names and values", id="empty"),

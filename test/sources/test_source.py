@@ -131,7 +131,7 @@ def test_a_stream_whose_address_is_not_utf8_is_refused(source: str) -> None:
     [
         ("4711", "Device 4711 cannot be opened"),
         ("/dev/video4711", "Device 4711 cannot be opened.* There "),
-        ("/dev/zero", "/dev/zero can be read neither as an image nor as a video"),
+        ("/dev/zero", "/dev/zero is a device, but not a camera. There "),
         ("x" * 5000, "is neither 'synthetic'"),
         ("9" * 10, "nor the number of a device"),
     ],

@@ -197,7 +197,7 @@ def examine(examination: Examination, *, root: Path, patience_s: float) -> list[
         lines, said = answer.read().split(b"\n"), output.read().decode(errors="replace")
     rows = list(map(json.loads, lines[:-1]))
     findings = [Finding(*row) for row in rows if len(row) > 1]
-    if code != 0:
+    if [] not in rows:
         subject = rows[-1][0] if rows else str(examination)
         remedy = examination.suspect.format(**vars(examination))
         findings.append(Finding(subject, "error", _early_end(code, patience_s, said), remedy))
@@ -224,14 +224,15 @@ def _early_end(code: int | None, patience_s: float, said: str) -> str:
     else:
         end = f"it ended with {signal.strsignal(-code) if code < 0 else f'exit code {code}'}"
     lines = [line for line in said.splitlines() if line.strip()]
-    last_words = in_one_line(" | ".join(lines[-_LAST_LINES:]), 400)
+    last_words = " | ".join(in_one_line(line, 400) for line in lines[-_LAST_LINES:])[-400:]
     return f"{end}; what follows in this group was not checked. {last_words}".removesuffix(". ")
 
 
 def write_findings(command: str, module: str, group: str, root: str, target: str, descriptor: str) -> None:
     """Make all checks of the group, and end the process with exit code 0 if none of them raises.
 
-    Writes JSON lines to the file `descriptor`: [subject] of each check before it begins, then its findings.
+    Writes JSON lines to the file `descriptor`: [subject] of each check before it begins, then its findings;
+    [] after the last one.
     """
     sys.argv = [command]  # beside it lie the other commands
     prepare_environment()
@@ -243,8 +244,12 @@ def write_findings(command: str, module: str, group: str, root: str, target: str
                 print(json.dumps([named]), file=answer, flush=True)
                 for finding in check(machine):
                     print(json.dumps(astuple(replace(finding, subject=named))), file=answer, flush=True)
+            print("[]", file=answer, flush=True)
+            os._exit(0)  # the libraries of a broken machine may crash or hang when they are unloaded
         except ImportError as problem:
-            sys.exit(import_problem(problem))
-        except Exception as problem:  # noqa: BLE001 - a broken package raises anything
-            sys.exit(f"{type(problem).__name__}: {problem}")
-    os._exit(0)  # the libraries of a broken machine may crash or hang when they are unloaded
+            told = import_problem(problem)
+        except (Exception, SystemExit) as problem:  # noqa: BLE001 - a broken package raises anything
+            told = f"{type(problem).__name__}: {problem}"
+    sys.stderr.write(told)
+    sys.stderr.flush()
+    os._exit(1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import getpass
+import os
+import pwd
 import re
 import socket
 from collections.abc import Callable, Iterator
@@ -69,28 +70,45 @@ Groups = dict[str, dict[str, Check]]
 
 # Names that images and installers give to everybody, and that occur in paths and messages.
 _GENERIC = re.compile("root|ubuntu|debian|ros|user|admin|pi|jetson|localhost|docker|nobody", re.IGNORECASE)
-_HOMES = re.compile(r"(/home/|/Users/)[^/\s:'\"]+")
-_LOCAL_ADDRESS = re.compile(
-    r"(?<![\d.])(?:(?:10|127)\.\d{1,3}|192\.168|172\.(?:1[6-9]|2\d|3[01]))(?:\.\d{1,3}){2}(?![\d]|\.\d)"
+_IDENTIFIERS = (
+    (re.compile(r"(/home/|/Users/)[^/\s:'\"]+"), r"\1(user)"),
+    (re.compile(r"\b(?:[0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}\b"), "(address)"),
+    (
+        re.compile(
+            r"(?<![\d.])(?:(?:10|127)\.\d{1,3}|192\.168|172\.(?:1[6-9]|2\d|3[01]))(?:\.\d{1,3}){2}(?![\d]|\.\d)"
+        ),
+        "(address)",
+    ),
+    (re.compile(r"\b(?:GPU|MIG)-[0-9a-fA-F-]{32,36}"), "(serial)"),
+    (re.compile(r"/dev/(?:v4l|serial)/by-id/\S+"), "/dev/(serial)"),
 )
 
 
 def without_private_names(text: str) -> str:
-    """`text` with ~ for the home folder, and without this user and host and addresses of its network.
+    """`text` with ~ for the home folder, and without this user and host, addresses and serial numbers.
 
-    Names of one letter, and those that many machines have in common, such as `ubuntu`, are kept.
+    Names of fewer than two letters, and those that many machines have in common, such as `ubuntu`, are kept.
     """
-    with suppress(RuntimeError):  # no home folder
-        if (home := str(Path.home())) != "/":
-            text = re.sub(rf"{re.escape(home)}(?![\w.-])", "~", text)
-    text = _LOCAL_ADDRESS.sub("(address)", _HOMES.sub(r"\1(user)", text))
-    host, user = socket.gethostname(), ""
-    with suppress(KeyError, OSError):  # a container with a user id that has no entry
-        user = getpass.getuser()
-    for name, replacement in ((host, "(host)"), (host.partition(".")[0], "(host)"), (user, "(user)")):
-        if len(name) > 1 and not _GENERIC.fullmatch(name):
-            text = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", replacement, text)
+    homes = {os.path.expanduser("~")}  # noqa: PTH111 - Path.expanduser raises without a home
+    homes |= {str(Path(each).resolve()) for each in homes}
+    for each in sorted(homes - {"/", "~"}, key=len, reverse=True):
+        text = re.sub(rf"{re.escape(each.rstrip('/'))}(?![\w.-])", "~", text)
+    for pattern, replacement in _IDENTIFIERS:
+        text = pattern.sub(replacement, text)
+    host = socket.gethostname()
+    for names, replacement in (({host, host.partition(".")[0]}, "(host)"), (_users(), "(user)")):
+        for name in sorted(names, key=len, reverse=True):  # a whole name before its first part
+            if len(name) > 1 and not _GENERIC.fullmatch(name):
+                text = re.sub(rf"(?<![\w-]){re.escape(name)}(?![\w-])", replacement, text)
     return text
+
+
+def _users() -> set[str]:
+    """The names of the user who runs this process."""
+    names = {os.environ.get(variable, "") for variable in ("USER", "LOGNAME")}
+    with suppress(KeyError):  # a container with a user id that has no entry
+        names.add(pwd.getpwuid(os.geteuid()).pw_name)
+    return names
 
 
 def public(finding: Finding) -> Finding:

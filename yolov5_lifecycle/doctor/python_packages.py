@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from importlib import import_module
 from importlib.machinery import PathFinder
 from importlib.metadata import distributions, requires, version
-from importlib.util import find_spec
 from pathlib import Path
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
@@ -30,10 +29,13 @@ def _required(_: Machine) -> Iterator[Finding]:
     present = [f"yolov5_lifecycle {version('yolov5_lifecycle')}"]
     for package, oldest, is_optional in dict.fromkeys(_requirements()):
         module = _MODULES.get(package, package)
-        if is_optional and find_spec(module) is None:
-            continue
-        loaded = import_module(module) if module in _IMPORTED else None
-        found = getattr(loaded, "__version__", None) or version(package)
+        try:
+            loaded = import_module(module) if module in _IMPORTED else None
+            found = getattr(loaded, "__version__", None) or version(package)
+        except ModuleNotFoundError:
+            if is_optional:
+                continue
+            raise
         present.append(f"{package} {found}")
         if _numbers(found) < _numbers(oldest):
             yield error(

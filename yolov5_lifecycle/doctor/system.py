@@ -53,7 +53,7 @@ def _python(_: Machine) -> Iterator[Finding]:
 def _processor(machine: Machine) -> Iterator[Finding]:
     count, quota, known = compute_threads(), cores(machine.text), abilities()
     found = f"{count} processors, {', '.join(known) or 'no vector instructions known'}"
-    if quota is not None and quota < int(os.environ.get("OMP_NUM_THREADS") or count):
+    if quota is not None and quota < int(os.environ.get("OMP_NUM_THREADS", "").partition(",")[0] or count):
         yield warning(
             f"{found}; the control group allows {quota:g}",
             remedy=f"Start the node with OMP_NUM_THREADS={max(1, math.floor(quota))}, because more threads "

@@ -80,6 +80,8 @@ def open_source(
     if device := _DEVICE.fullmatch(os.path.realpath(source) if "/" in source else source):
         return _device(int(device[1]), size_hw)
     path = Path(source).expanduser()
+    if _exists(path) and path.is_char_device():  # a terminal or a serial port would be waited for
+        raise SourceError(f"{in_one_line(source)} is a device, but not a camera.{_devices()}")
     if is_stream(source) and not _exists(path):
         frames, rate_hz = open_stream(source, reconnects=loop, report=report, wait=wait)
         return ImageSource((_frame(pixels, size_hw) for pixels in frames), rate_hz)

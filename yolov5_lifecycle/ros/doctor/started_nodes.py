@@ -6,6 +6,7 @@ import os
 import re
 import statistics
 import subprocess
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
@@ -116,15 +117,23 @@ def has_foreign_segment(maps: str) -> bool:
 def _life(_: Machine) -> Iterator[Finding]:
     """What `demo` says, which drives every transition, live changes and a model swap."""
     with temporary_folder() as folder:  # the demonstration writes below the current one
-        demo = subprocess.run([entry_point("demo")], cwd=folder, capture_output=True, text=True, check=False)
+        demo = subprocess.Popen(
+            [entry_point("demo")], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        assert demo.stdout is not None
+        output = ""
+        with demo:
+            for line in demo.stdout:
+                sys.stderr.write(line)  # the last ones are quoted if no further one follows in time
+                output += line
     if demo.returncode == 0:
-        found = demo.stdout.rpartition("demo ok: ")[2].partition(", image")[0]
+        found = output.rpartition("demo ok: ")[2].partition(", image")[0]
         yield ok(
             f"configured, activated, changed, model swapped, deactivated, activated again, shut down: {found}"
         )
     else:
         yield error(
-            in_one_line(demo.stdout.rpartition("demo failed: ")[2] + demo.stderr, 800),
+            in_one_line(output.rpartition("demo failed: ")[2], 800),
             remedy="Correct the errors above first; then run `demo`, which shows every step, and report "
             "its output.",
         )
