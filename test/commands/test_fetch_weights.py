@@ -68,6 +68,27 @@ def test_a_file_that_is_there_is_not_asked_for_again(folder: Path, checkpoint: b
     assert (folder / "yolov5n.pt").exists()
 
 
+@pytest.mark.parametrize("kind", ["link", "link to a pipe", "pipe", "folder"])
+def test_what_is_no_file_is_neither_written_nor_waited_for(
+    folder: Path, checkpoint: bytes, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder.mkdir(parents=True)
+    name = "yolov5n.partial.pt"
+    precious = folder.parent / "precious"
+    precious.write_bytes(b"precious")
+    os.mkfifo(folder.parent / "pipe")
+    if kind == "folder":
+        (folder / name).mkdir()
+    elif kind == "pipe":
+        os.mkfifo(folder / name)
+    else:
+        (folder / name).symlink_to(folder.parent / {"link": "precious", "link to a pipe": "pipe"}[kind])
+    with FileServer(sending(checkpoint)) as server:
+        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
+    assert str(folder / name) in capsys.readouterr().err
+    assert precious.read_bytes() == b"precious"
+
+
 @pytest.mark.parametrize(
     ("url", "told"),
     [

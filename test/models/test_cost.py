@@ -10,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
+from support.checkpoint_builder import SMALL
 from support.formula_model import EVERY_FAMILY, family_architecture
 from support.small_families import COSTLY, EVERY_SMALL, SMALL_FAMILIES
 from torch.profiler import ProfilerActivity, profile
@@ -221,3 +222,12 @@ def test_each_limit_is_above_what_the_largest_official_model_needs() -> None:
     assert 10 * max(int(np.prod(shape)) for _, shape in cost.outputs) < MAX_ELEMENTS_PER_PIXEL * pixels
     assert 10 * cost.activation_bytes < MAX_BYTES_PER_PIXEL * pixels
     assert 9 * cost.multiply_adds < MAX_MULTIPLY_ADDS_PER_PIXEL * pixels
+
+
+@pytest.mark.parametrize("kind", ["C3TR", "Contract"])
+def test_a_layer_that_has_no_pixels_left_costs_what_is_before_it(kind: str) -> None:
+    small = SMALL
+    pools = [Layer((-1,), 1, "MaxPool2d", args) for args in ((15, 8, 0), *[(2, 1, 0)] * 3)]
+    layers = (*small.layers[:-1], *pools, Layer((-1,), 1, kind, (2,)), small.layers[-1])
+    emptied = dataclasses.replace(small, layers=layers)
+    assert cost_of(emptied, (128, 128)).multiply_adds >= cost_of(small, (128, 128)).multiply_adds

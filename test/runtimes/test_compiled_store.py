@@ -105,11 +105,14 @@ def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == [ONE, THREE, FOUR]
 
 
-def test_what_is_larger_than_all_that_may_be_kept_is_kept_alone(tmp_path: Path) -> None:
+def test_what_is_larger_than_all_that_may_be_kept_is_not_kept(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     store = CompiledStore(tmp_path, max_bytes=100)
     store.keep(ONE, b"x" * 50)
     store.keep(TWO, b"x" * 100)
-    assert [file.name for file in tmp_path.iterdir()] == [TWO]
+    assert [file.name for file in tmp_path.iterdir()] == [ONE]
+    assert "not cached: its 100 bytes exceed the limit" in caplog.text
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:

@@ -53,6 +53,14 @@ def graph_without_weights() -> bytes:
     return fields
 
 
+def unsqueezed() -> bytes:
+    """A file of opset 11, whose operation has 100,000 numbers one behind the other: a single field."""
+    axes = field(1, b"axes") + b"\xa0\x01\x07" + field(8, b"".join(map(varint, range(4, 100_004))))
+    operation = field(1, b"images") + field(2, b"x") + field(4, b"Unsqueeze") + field(5, axes)
+    graph = field(1, operation) + graph_without_weights() + _weights()
+    return _PREFIX + field(7, graph) + field(8, b"\x10\x0b")
+
+
 def changed(change: Callable[[Any], object], **options: Any) -> Callable[[], bytes]:
     """A valid file after `change` of its model; `options` are those of `small_export`."""
 
@@ -219,6 +227,12 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "weights in another file": (changed(other_file), "lie in another file"),
     "a constant in another file": (changed(other_file_of_a_constant), "lie in another file"),
     "an array of 16 Ti numbers": (dimensions(1 << 22, 1 << 22), "of shape [4194304, 4194304] and kind 1 has"),
+    "an array of nine dimensions": (dimensions(*[1] * 9), "has 9 dimensions, expected at most 8"),
+    "an array of a million dimensions": (
+        lambda: glued(graph_without_weights() + field(5, field(1, b"\1" * 1_000_000) + b"\x10\1")),
+        "has 1,000,000 dimensions",
+    ),
+    "a hundred thousand dimensions more": (unsqueezed, "would have 100,004 dimensions"),
     "an array of negative size": (dimensions(-1), "of shape [-1] and kind 1 has"),
     "strides of 0": (
         changed(lambda model: attribute(model, "strides").ints.__setitem__(0, 0)),

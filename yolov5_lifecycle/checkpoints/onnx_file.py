@@ -11,7 +11,7 @@ from typing import Any
 
 import onnx
 
-from yolov5_lifecycle.checkpoints.onnx_trace import Shape, Trace, images_of
+from yolov5_lifecycle.checkpoints.onnx_trace import MAX_DIMENSIONS, Shape, Trace, images_of
 from yolov5_lifecycle.models.cost import Cost
 from yolov5_lifecycle.models.model import MAX_CLASSES, Export, WeightsError, check_class_names, shown
 
@@ -138,6 +138,11 @@ def _check_array(array: Any) -> None:
         raise WeightsError(
             f"the numbers of {shown(array.name)} lie in another file, which is not opened: export the model "
             "again, as one file"
+        )
+    if len(array.dims) > MAX_DIMENSIONS:
+        raise WeightsError(
+            f"the array {shown(array.name)} has {len(array.dims):,} dimensions, expected at most "
+            f"{MAX_DIMENSIONS}"
         )
     elements, element_bytes = math.prod(array.dims), _BYTES.get(array.data_type, 0)
     if array.HasField("raw_data"):

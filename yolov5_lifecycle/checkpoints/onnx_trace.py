@@ -27,6 +27,8 @@ _COMPUTED = frozenset({
 _POSITIVE = ("strides", "dilations", "kernel_shape", "group")
 
 Shape = tuple[int, ...]
+MAX_DIMENSIONS = 8
+"""Of an array; exports have 6."""
 
 
 class Trace:
@@ -124,6 +126,8 @@ class Trace:
                 f"the size of {shown(name)} cannot be told from the size of the images: export the model "
                 "again, without a selection of boxes"
             )
+        if len(tensor.shape.dim) > MAX_DIMENSIONS:
+            raise WeightsError(f"{shown(name)} would have {len(tensor.shape.dim):,} dimensions")
         self._types[name] = kind
         self.shapes[name] = tuple(each.dim_value for each in tensor.shape.dim)
 

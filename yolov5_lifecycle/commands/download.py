@@ -16,7 +16,7 @@ from urllib.request import HTTPRedirectHandler, Request, build_opener
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, load_weights
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.unfinished import hold
+from yolov5_lifecycle.unfinished import hold, open_itself
 
 _STALL_S = 30.0
 _CHUNK_BYTES = 1 << 14
@@ -63,7 +63,7 @@ def fetch(
     url = url.replace("{size}", model)
     folder.mkdir(parents=True, exist_ok=True)
     unfinished = target.with_suffix(".partial.pt")
-    with unfinished.open("ab") as file:
+    with open(unfinished, "ab", opener=open_itself) as file:
         if not hold(file.fileno(), unfinished):
             raise DownloadError(f"another fetch_weights is running in {folder}: wait until it has finished")
         try:
@@ -84,8 +84,8 @@ def fetch(
 def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
     """The downloaded model; an invalid file is removed, since it cannot be resumed."""
     try:
-        load_weights(path)  # why it is no model, as a login page is none, says more than its digest
-        return load_weights(path, sha256=sha256)
+        found = load_weights(path)  # why it is no model, as a login page is none, says more than its digest
+        return load_weights(path, sha256=sha256) if sha256 else found
     except UncheckedError as error:
         raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
     except WeightsError as error:

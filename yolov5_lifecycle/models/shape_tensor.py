@@ -65,7 +65,12 @@ class ShapeTensor:
     ) -> object:
         if function not in _FUNCTIONS:
             raise NotImplementedError(f"{function} of {cls.__name__}")
-        return _FUNCTIONS[function](*args, **(kwargs or {}))
+        return cls.called(function, *args, **(kwargs or {}))
+
+    @classmethod
+    def called(cls, function: Callable[..., object], *args: Any, **kwargs: Any) -> object:
+        """The result of the `function` of torch."""
+        return _FUNCTIONS[function](*args, **kwargs)
 
     def dim(self) -> int:
         return len(self.shape)
@@ -93,7 +98,7 @@ class ShapeTensor:
     def reshape(self, *sizes: Any) -> ShapeTensor:
         shape = sizes[0] if isinstance(sizes[0], tuple) else sizes
         known = math.prod(size for size in shape if size != -1)
-        inferred = math.prod(self.shape) // known
+        inferred = math.prod(self.shape) // (known or 1)
         return self.made(*(inferred if size == -1 else size for size in shape), of=self)
 
     def view(self, *sizes: int) -> ShapeTensor:

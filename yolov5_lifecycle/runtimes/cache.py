@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, atomic_write
-from yolov5_lifecycle.unfinished import remove_abandoned
+from yolov5_lifecycle.unfinished import open_itself, remove_abandoned
 
 MAX_BYTES = 1 << 30
 NO_PLACE = (OSError, RuntimeError)
@@ -48,7 +48,7 @@ def write_cache(path: Path, *parts: bytes) -> None:
 class CompiledStore:
     """Bytes by a key of 64 hexadecimal digits, one file each, in a `folder` that may begin with ~.
 
-    Beyond `max_bytes` in total, the least recently used files are evicted, but for the newest.
+    Beyond `max_bytes` in total, the least recently used files are evicted.
     """
 
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
@@ -59,8 +59,8 @@ class CompiledStore:
         """The content cached under `key`; None when it is missing or damaged."""
         try:
             path = (self._folder / key).expanduser()
-            with path.open("rb") as file:
-                digest, kept = file.read(_DIGEST_BYTES), file.read()
+            with open(path, "rb", opener=open_itself) as file:
+                digest, kept = file.read(_DIGEST_BYTES), file.read(self._max_bytes)
         except NO_PLACE:
             return None
         with suppress(OSError):  # owned by another user, or on a read-only file system
@@ -69,6 +69,9 @@ class CompiledStore:
 
     def keep(self, key: str, content: bytes) -> None:
         """Cache `content` under `key`; a failure is only logged."""
+        if _DIGEST_BYTES + len(content) > self._max_bytes:
+            _log.warning("The compiled model is not cached: its %d bytes exceed the limit", len(content))
+            return
         try:
             write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
@@ -79,12 +82,18 @@ class CompiledStore:
 
     def _evict(self, newest: Path) -> None:
         """Remove the other files used longest ago, until all take up at most `max_bytes`."""
-        others = [path for path in newest.parent.iterdir() if _KEY.fullmatch(path.name) and path != newest]
+        found = []
+        for path in newest.parent.iterdir():
+            with suppress(OSError):  # another process may evict at the same time
+                status = path.lstat()
+                if _KEY.fullmatch(path.name) and path != newest:
+                    found.append((status.st_mtime, status.st_size, path))
         used_bytes = newest.stat().st_size
-        for path in sorted(others, key=lambda path: path.stat().st_mtime, reverse=True):
-            used_bytes += path.stat().st_size
+        for _, size_bytes, path in sorted(found, reverse=True):
+            used_bytes += size_bytes
             if used_bytes > self._max_bytes:
-                path.unlink()
+                with suppress(OSError):
+                    path.unlink()
 
 
 def installed_build(package: str) -> str | None:

@@ -161,18 +161,13 @@ class GraphTensor(ShapeTensor):
         self.name = name
 
     @classmethod
-    def __torch_function__(
-        cls,
-        function: Callable[..., object],
-        types: Sequence[type],
-        args: Sequence[Any] = (),
-        kwargs: Mapping[str, Any] | None = None,
-    ) -> object:
+    def called(cls, function: Callable[..., object], *args: Any, **kwargs: Any) -> object:
+        """The result of the `function` of torch, which adds a node to the graph."""
         if function not in _WRITERS:
             raise NotImplementedError(f"{function} of {cls.__name__}")
         graph = (args[0] if isinstance(args[0], GraphTensor) else args[0][0]).graph
-        name = _WRITERS[function](graph, *args, **(kwargs or {}))
-        result = super().__torch_function__(function, types, args, kwargs)
+        name = _WRITERS[function](graph, *args, **kwargs)
+        result = super().called(function, *args, **kwargs)
         made = result[0] if isinstance(result, tuple) else result
         cast(GraphTensor, made).name = name
         return result
