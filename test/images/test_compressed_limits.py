@@ -139,6 +139,13 @@ def test_a_chunk_that_a_png_must_not_have_is_not_decoded(chunks: bytes) -> None:
     assert png_structure(data).size_hw == (8, 9)
 
 
+def test_a_plain_png_is_not_copied() -> None:
+    data = np.frombuffer(png_builder.image(8, 9) + bytes(20), np.uint8)
+    alone = png_structure(data).data
+    assert np.shares_memory(alone, data)
+    assert alone.size == data.size - 20
+
+
 PIECES = [
     jpeg.SOI,
     jpeg.EOI,

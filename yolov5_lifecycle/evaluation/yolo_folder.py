@@ -40,7 +40,7 @@ from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, class_names_of
 from yolov5_lifecycle.outside_yaml import PlainText, texts_of
-from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
+from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES, READABLE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
 _MAX_YAML_BYTES = 1 << 20
@@ -133,7 +133,7 @@ def read_yolo_folder(
     paths = reader.images(wanted, description.folder)
     if not paths:
         raise DataError(
-            f"{data}: there are no images ({', '.join(IMAGE_SUFFIXES)}) in {', '.join(wanted)[:1000]}. "
+            f"{data}: there are no images ({', '.join(READABLE_SUFFIXES)}) in {', '.join(wanted)[:1000]}. "
             "Expected a folder with images/ and labels/, or a data.yaml that names them. "
             f"{problems.summary}".strip()
         )
@@ -243,7 +243,7 @@ class _Reader:
             try:
                 image = confined_path(self.root, line, base=path.parent)
                 if not _is_image(image):
-                    raise DataError(f"expected a file that ends in {', '.join(IMAGE_SUFFIXES)}")
+                    raise DataError(f"expected a file that ends in {', '.join(READABLE_SUFFIXES)}")
             except DataError as error:
                 self._problems.add("unusable entries", path, error)
                 continue

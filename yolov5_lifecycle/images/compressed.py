@@ -30,7 +30,6 @@ _VALUES = re.compile("bayer_|mono16|8SC|(16|32|64)[USF]C")
 _BOUNDED_BY_OPENCV = re.compile(rb"BM|RIFF....WEBP", re.DOTALL)
 """Beginnings of BMP and WebP files. OpenCV reads more, whose cost nobody has counted."""
 
-_NOT_AS_JPEG = "which sends nothing where it cannot make a JPEG"
 _SET_PNG = "Set the parameter `compressed.format` of the publisher to png if it is image_transport's"
 
 

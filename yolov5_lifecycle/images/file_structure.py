@@ -158,5 +158,6 @@ def png_structure(buffer: NDArray[np.uint8]) -> FileStructure:
     if kept[0][: len(_HEADER)] != _HEADER:
         raise ImageError("Expected a PNG that begins with an IHDR of 13 bytes, found another beginning.")
     width, height, bits, colour = struct.unpack_from(">IIBB", kept[0], len(_HEADER))
-    alone = np.frombuffer(b"".join((_SIGNATURE, *kept)), np.uint8)
+    is_plain = len(_SIGNATURE) + sum(map(len, kept)) == position  # then it is not copied
+    alone = buffer[:position] if is_plain else np.frombuffer(b"".join((_SIGNATURE, *kept)), np.uint8)
     return FileStructure(alone, (height, width), None if colour & _COLOURED else bits)

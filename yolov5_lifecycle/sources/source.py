@@ -32,7 +32,8 @@ from yolov5_lifecycle.sources.scene import Scene
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
 
 SYNTHETIC = "synthetic"
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
+READABLE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
+IMAGE_SUFFIXES = (*READABLE_SUFFIXES, ".tif", ".tiff")  # the latter are refused with the remedy
 _DEVICE = re.compile(r"(?:/dev/video)?([0-9]{1,9})")
 IMAGE_RATE_HZ = 30.0
 """Default rate for sources without their own."""
@@ -197,7 +198,7 @@ def image_paths(path: Path) -> list[Path]:
     except OSError as error:
         raise SourceError(str(error)) from None
     if not paths:
-        raise SourceError(f"The folder {path} has no images ({', '.join(IMAGE_SUFFIXES)}).")
+        raise SourceError(f"The folder {path} has no images ({', '.join(READABLE_SUFFIXES)}).")
     return paths
 
 
