@@ -64,14 +64,19 @@ class CameraClient:
         return message.header
 
     def detect(self, message: Image | None = None) -> Detection2DArray:
-        """Send images, or the same one again, until one of them is detected; what was found in it."""
+        """Send images, or the same one again, until one is detected; what was found in the last one sent.
+
+        None of them is waiting or in inference afterwards.
+        """
         first_sec = self.sent + 1
 
-        def is_detected() -> bool:
-            self.send(message)
-            return bool(self.detections) and self.detections[-1].header.stamp.sec >= first_sec
+        def is_detected(sec: int) -> bool:
+            return bool(self.detections) and self.detections[-1].header.stamp.sec >= sec
 
-        self.served.wait_for(is_detected, f"a detection of {self.name}")
+        self.served.wait_for(
+            lambda: bool(self.send(message)) and is_detected(first_sec), f"a detection of {self.name}"
+        )
+        self.served.wait_for(lambda: is_detected(self.sent), f"the detections of {self.name}")
         return self.detections[-1]
 
     def see(self, message: Image | None = None) -> Detection2DArray:

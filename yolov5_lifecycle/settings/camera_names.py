@@ -36,14 +36,14 @@ def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
     return ""
 
 
-def usable_names(value: object, settings: Collection[str]) -> tuple[str, ...]:
+def usable_names(value: object) -> tuple[str, ...]:
     """The first MAX_CAMERAS valid names in `value`, an invalid list of cameras or a string meant as one."""
     if isinstance(value, str):
         value = [name.strip(" \"'") for name in value.strip(" []").split(",")]
     if not isinstance(value, (list, tuple)):
         return ()
     names = dict.fromkeys(name for name in value if isinstance(name, str))
-    valid = (name for name in names if not camera_names_rule([name], settings))
+    valid = (name for name in names if not camera_names_rule([name], ()))
     return tuple(islice(valid, MAX_CAMERAS))
 
 

@@ -51,6 +51,8 @@ class OverridableSchema(Schema[Model]):
         settings, of_node = self._attempt(own, overrides)
         if any(problem.setting == CAMERAS for problem in of_node):
             of_strays = self._while_cameras_are_wrong(strays)
+            wrong = (self.problem(name, dotted[name]) for name in strays if self._inherited(name))
+            of_strays += filter(None, wrong)
         else:
             of_strays = self.all_unknown(strays, values)
         inherited = {f"{camera}{SEPARATOR}{problem}" for camera in _cameras(values) for problem in of_node}

@@ -31,7 +31,7 @@ class Change(Enum):
     LIVE = "live: takes effect with the next frame"
     RELOAD = "reload: the new model is loaded alongside the running one and replaces it between two frames"
     CONFIGURE = "configure: set while the node is unconfigured"
-    RESUBSCRIBE = "resubscribe: the image subscription is recreated"
+    RESUBSCRIBE = "resubscribe: the subscriptions concerned are recreated"
     READ_ONLY = "read-only: set when the node starts"
 
 

@@ -162,7 +162,9 @@ def test_an_empty_list_is_set_and_integers_are_taken_for_numbers_and_names(serve
             id="contradiction-with-the-node",
         ),
         pytest.param(
-            {"front.max_rate": 5.0, "autostart": True}, "read-only parameter: autostart", id="read-only"
+            {"front.max_rate": 5.0, "autostart": True},
+            "autostart: read-only: restart the node",
+            id="read-only",
         ),
         pytest.param(
             {"front.classes": ["cta"]}, "front.classes: 'cta' is not a class of the model", id="class"

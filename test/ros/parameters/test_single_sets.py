@@ -204,6 +204,7 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
                 "cameras: 3 is not a list",
                 "front.max_rate: add front when you correct cameras. Or remove it: ros2 param delete",
                 "front.lazy: add front when you correct cameras. Or remove it: ros2 param delete /yolov5",
+                "front.lazy: 1 is not true or false. The default is true.",
             ],
             id="no camera can be read",
         ),
@@ -244,6 +245,7 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
                 "cameras: ",
                 "front.track_high_threshold: add",
                 "front.track_low_threshold: add",
+                "front.track_high_threshold: 9.0 is not",
             ],
             id="undecided contradiction of a camera that does not exist",
         ),
@@ -257,6 +259,13 @@ def test_configure_names_every_problem_with_its_remedy(
     assert first == f"configure refused, {len(told)} problem(s):"
     assert [problem[2:][: len(beginning)] for problem, beginning in zip(problems, told, strict=True)] == told
     assert last == "  Correct values one by one, in any order: ros2 param set /yolov5 NAME VALUE"
+
+
+def test_a_wrong_value_stays_one_until_it_is_corrected_itself(ros_domain: int, tmp_path: Path) -> None:
+    with detector(tmp_path, {"image_size": [], "nonsense": [], "max_rate": -1.0}) as tried:
+        assert tried.configure().startswith("configure refused, 3 problem(s):")
+        tried.set("max_rate", 3.0)
+        assert tried.configure().startswith("configure refused, 2 problem(s):")
 
 
 @pytest.mark.parametrize("given", [{"wieghts": "x"}, {"autostart": 1}], ids=["unknown", "read-only"])

@@ -153,7 +153,7 @@ class Detector:
     @property
     def camera_names(self) -> tuple[str, ...]:
         """Names in the parameter `cameras`, without impossible ones."""
-        return usable_names(self._values.get("cameras"), ())
+        return usable_names(self._values.get("cameras"))
 
     @property
     def cameras(self) -> list[tuple[str, StatusView | None]]:

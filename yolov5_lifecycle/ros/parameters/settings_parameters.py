@@ -129,7 +129,7 @@ class SettingsParameters:
         delete = f"ros2 param delete {self._node.get_fully_qualified_name()}"
         return [
             str(problem)
-            if problem.setting in SETTINGS_BY_NAME
+            if problem.setting in SETTINGS_BY_NAME or problem.setting not in self._current.values
             else f"{problem} {_removal(problem)}: {delete} {problem.setting}"
             for problem in self.problems
         ]
@@ -179,14 +179,20 @@ class SettingsParameters:
         values = {**self._current.values, **wanted}
         unknown = [name for name in wanted if not self._is_parameter(name, values)]
         undeletable = [name for name in wanted if wanted[name] is None and name in SETTINGS_BY_NAME]
-        impossible = {*unknown, *undeletable}
+        fixed = [name for name in wanted if wanted[name] is not None and self._is_fixed(name, wanted[name])]
+        impossible = {*unknown, *undeletable, *fixed}
         after = self._after({name: wanted[name] for name in wanted if name not in impossible})
         of_values, unsolved = self._problems_of(wanted, after)
         return Proposal(
             base=self._current,
             after=after,
             asked=tuple(asked),
-            problems=(*SCHEMA.all_unknown(unknown, values), *map(_undeletable, undeletable), *of_values),
+            problems=(
+                *SCHEMA.all_unknown(unknown, values),
+                *map(_undeletable, undeletable),
+                *(Problem(name, "read-only: restart the node with another value.") for name in fixed),
+                *of_values,
+            ),
             unsolved=tuple(unsolved),
         )
 
@@ -209,7 +215,7 @@ class SettingsParameters:
                 self._node.undeclare_parameter(setting.name)
             return result
         self._current = proposal.after
-        self._sources |= dict.fromkeys(wanted, Source.RUN_TIME)
+        self._sources |= {parameter.name: Source.RUN_TIME for parameter in parameters}
         if proposal.unsolved:
             remark = "change another parameter, too, or configure is refused: "
             result.reason = f"{remark}{_reason(proposal.unsolved)}"
@@ -228,7 +234,11 @@ class SettingsParameters:
         changes = {name: wanted[name] for name in wanted if name in present or SCHEMA.find(name)}
         if not changes:
             return self._current
-        values = {name: value for name, value in {**present, **changes}.items() if value is not None}
+        values = {
+            name: value
+            for name, value in {**present, **changes}.items()
+            if name not in changes or value is not None
+        }
         unknown = (name for name in values if SCHEMA.find(name) is None)
         corrected = [n for n in islice(unknown, MAX_SUGGESTIONS) if SCHEMA.meant(n, values) in changes]
         return self._configuration({name: value for name, value in values.items() if name not in corrected})
@@ -268,6 +278,10 @@ class SettingsParameters:
         if values[name] is None:
             return name in self._current.values
         return SCHEMA.find(name) is not None and self._is_unconfigured()
+
+    def _is_fixed(self, name: str, value: object) -> bool:
+        setting = SETTINGS_BY_NAME.get(name)
+        return setting is not None and setting.change is Change.READ_ONLY and value != self.value(name)
 
     def _stays(self, parameter: Parameter) -> bool:
         """Whether `parameter` deletes an override that is not set, or is read-only and has this value.

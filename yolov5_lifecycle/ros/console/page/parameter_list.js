@@ -7,7 +7,7 @@ import { isOverride, isSame, isSet, yamlText } from "./parameter_values.js";
 const GROUPS = [
   ["live", "Live", "takes effect with the next frame"],
   ["reload", "Reload", "loads the new model while the running one keeps detecting"],
-  ["resubscribe", "Resubscribe", "recreates the image subscription"],
+  ["resubscribe", "Resubscribe", "recreates the subscriptions concerned"],
   ["configure", "Configure", "fixed by configure: clean up first"],
   ["read only", "Read only", "needs a restart of the node"],
 ];
