@@ -265,6 +265,15 @@ def metadata_with(text: str, folder: Path) -> Path:
         pytest.param(
             partial(metadata_with, "[" + "[]," * 60_000), "more than 50,000 values", id="many lists"
         ),
+        pytest.param(
+            partial(
+                metadata_with,
+                "rosbag2_bagfile_information:\n  relative_file_paths: []\n"
+                f"  topics_with_message_count: [{'a,' * 10_001}]",
+            ),
+            "should have at most 10000 items",
+            id="many topics",
+        ),
         pytest.param(partial(metadata_with, "[" * 100), "nested more than 20 deep", id="deep lists"),
         pytest.param(
             partial(metadata_with, "a: 1"), "rosbag2_bagfile_information: Field required", id="other"

@@ -13,7 +13,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from backports import zstd
-from pydantic import BaseModel, NonNegativeInt, ValidationError
+from pydantic import BaseModel, Field, NonNegativeInt, ValidationError
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -26,6 +26,7 @@ from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_m
 from yolov5_lifecycle.offline.stored_messages import (
     CDR,
     MAX_MESSAGE_BYTES,
+    MAX_TOPICS,
     McapFile,
     SqliteFile,
     StorageError,
@@ -64,6 +65,7 @@ def _typestore() -> Typestore:
 TYPES = _typestore()
 """Message types of Jazzy and vision_msgs."""
 MAX_METADATA_BYTES = 16 << 20
+_MAX_FILES = 10_000
 _FREE_SHARE = 0.9
 _BLOCK_BYTES = 1 << 20
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -86,8 +88,8 @@ class _TopicCount(BaseModel):
 
 
 class _BagInformation(BaseModel):
-    relative_file_paths: list[str]
-    topics_with_message_count: list[_TopicCount] = []
+    relative_file_paths: list[str] = Field(max_length=_MAX_FILES)
+    topics_with_message_count: list[_TopicCount] = Field(default=[], max_length=MAX_TOPICS)
 
 
 class _Metadata(BaseModel):

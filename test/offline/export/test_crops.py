@@ -38,7 +38,7 @@ def detected(*boxes_xyxy: tuple[float, float, float, float], name: str = "a.png"
         scores=np.full(count, 0.5, np.float32),
         class_ids=np.zeros(count, np.int64),
     )
-    return DetectedImage(ImageFile(Path("/shots") / name), ColourImage(pixels, "rgb"), found, Path(name).stem)
+    return DetectedImage(ImageFile(Path("/shots") / name), ColourImage(pixels, "rgb"), found, {})
 
 
 def names(folder: Path) -> list[str]:

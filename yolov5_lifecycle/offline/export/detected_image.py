@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -41,8 +42,19 @@ class DetectedImage:
     named: NamedImage
     image: ColourImage
     detections: Detections
-    name: str
-    """Its stem, with its number if an earlier image has that stem."""
+    names: dict[str, int]
+    """The number of the image that each name is of, whatever its case; grows by the names that are asked."""
+
+    @cached_property
+    def name(self) -> str:
+        """Its stem, with its number if an earlier image has that name.
+
+        `_frame_` sorts it behind the files of the first image of that name.
+        """
+        name, number = self.named.stem, self.named.number
+        while self.names.setdefault(name.casefold(), number) != number:
+            name += f"_frame_{number:06}"
+        return name
 
     def mask(self, row: int) -> tuple[dict[str, object], int] | None:
         """COCO's RLE of the mask of detection `row` and its number of pixels; None without masks."""

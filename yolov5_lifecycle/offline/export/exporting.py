@@ -103,7 +103,7 @@ def export_images(
     Raises OutputError, OSError, DetectingError and what `load` raises; then the outputs are damaged.
     """
     detector = load()
-    owners: dict[str, int] = {}
+    names: dict[str, int] = {}
     with ExitStack() as stack:
         sinks = []
         for sink in chain([further(detector)] if further else [], export.sinks(detector)):
@@ -111,7 +111,7 @@ def export_images(
             sinks.append(sink)
 
         def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
-            found = DetectedImage(named, image, detections, _name(named, owners))
+            found = DetectedImage(named, image, detections, names)
             for sink in sinks:
                 sink.add(found)
 
@@ -119,14 +119,3 @@ def export_images(
         for sink in sinks:
             sink.finish()
     return statistics
-
-
-def _name(named: NamedImage, owners: dict[str, int]) -> str:
-    """A name of files about one image only, whatever its case; `owners` has the numbers of those before.
-
-    `_frame_` sorts it behind the files of the first image of that name.
-    """
-    name = named.stem
-    while owners.setdefault(name.casefold(), named.number) != named.number:
-        name += f"_frame_{named.number:06}"
-    return name
