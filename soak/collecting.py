@@ -174,6 +174,8 @@ def _killed(domain: int, folder: Path, after_s: float) -> None:
         robot.subject.process.stop(signal.SIGKILL)
         assert not robot.subject.escaped
     frames = [frame for _, frame in kept_images(folder)]
+    images = {os.fspath(path.relative_to(folder)) for path in folder.glob("images/*/*.jpg")}
+    assert {frame.image for frame in frames} == images
     assert all(_is_whole(folder / frame.image, frame.size_wh) for frame in frames)
     assert all((folder / file_of(frame.image, LABELS)).is_file() for frame in frames)
 

@@ -235,6 +235,8 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
     (tmp_path / "images" / "mine").mkdir(parents=True)
     (tmp_path / "images" / "mine" / "1.jpg").touch()
     (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "videos").mkdir()
+    (tmp_path / "videos" / ".drive.mp4.part").touch()
     folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=1))
     for seed in range(3):
         keep(folder, seed)
@@ -242,6 +244,7 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
     CollectedFolder(tmp_path, LARGE).close()
     assert (tmp_path / "images" / "mine" / "1.jpg").exists()
     assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "videos" / ".drive.mp4.part").exists()
 
 
 @pytest.mark.parametrize(

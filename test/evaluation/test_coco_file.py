@@ -64,6 +64,12 @@ def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
         found.images[0].labels.in_pixels((200, 100))
 
 
+@pytest.mark.parametrize("height", ["x", 10.5, -10, 10**30, True])
+def test_a_height_that_no_image_has_is_not_compared(height: object, tmp_path: Path) -> None:
+    found, _ = read(write(tmp_path, coco([image(1, height=height)], [annotation(1)])))
+    assert found.images[0].labels.size_hw is None
+
+
 @pytest.mark.parametrize("bbox", [[20, 100, 5, 5], [-9, 20, 9, 5]], ids=["below", "left"])
 def test_a_box_outside_of_an_image_of_unknown_size_is_refused(bbox: list[int], tmp_path: Path) -> None:
     unknown = {key: value for key, value in image(1).items() if key not in ("width", "height")}

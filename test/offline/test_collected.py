@@ -20,6 +20,7 @@ import pytest
 from numpy.typing import NDArray
 from support.candidates import CLASS_NAMES, add, candidate, found, frames_of, images_of, keep
 
+from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.collected_files import FRAMES, LABELS, CollectedFrame, file_of
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.collecting.triggers import Detail, Trigger
@@ -210,13 +211,20 @@ def test_an_image_of_several_folders_is_merged_once_with_the_labels_of_the_first
     assert (tmp_path / "all" / labels.relative_to(corrected)).read_text() == labels.read_text()
 
 
-def test_labels_that_cannot_be_read_are_not_merged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        pytest.param("9 0.5 0.5 0.5 0.5\n", "expected a class from 0 to 1", id="class"),
+        pytest.param("0 0.5 0.5 0.5 0.5\n" * 10_001, "found 10001 objects", id="many objects"),
+    ],
+)
+def test_labels_that_cannot_be_used_are_not_merged(
+    line: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     one = collected(tmp_path / "one", 1)
-    next((one / "labels").rglob("*.txt")).write_text("9 0.5 0.5 0.5 0.5\n")
+    next((one / "labels").rglob("*.txt")).write_text(line)
     assert run("merge", one, "--output", tmp_path / "all") == 1
-    assert "expected a class from 0 to 1" in capsys.readouterr().err
+    assert told in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("line", ["0\v0.5 0.5 0.2 0.2", "0 0.5\u20280.5 0.2 0.2", "0 0.5 0.5 0.2 0.2\x85"])
@@ -253,6 +261,14 @@ def test_folders_that_are_no_data_set_together_are_not_merged(
     monkeypatch.setattr(command, f"MAX_{what.upper()}", 1 if what == "images" else 2, raising=False)
     assert run("merge", *folders, "--output", tmp_path / "all") == 1
     assert f"{what}, found" in capsys.readouterr().err
+
+
+def test_records_that_are_too_large_together_are_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(collected_files, "MAX_RECORDS_BYTES", 1000)
+    assert run("show", collected(tmp_path / "robot", 2)) == 1
+    assert "expected at most 1,000 bytes, found more; use another folder" in capsys.readouterr().err
 
 
 def test_more_than_the_disk_can_take_is_not_begun(

@@ -30,6 +30,8 @@ SUFFIXES = {IMAGES: ".jpg", LABELS: ".txt", FRAMES: ".json"}
 MAX_IMAGE_BYTES = 256 << 20
 MAX_RECORD_BYTES = 32 << 20
 """One of 30,000 objects with the longest names has 30 MB, one of 1,000 usual ones 150 kB."""
+MAX_RECORDS_BYTES = 4 << 30
+"""Of all records in a folder; 20,000 of 1,000 objects have 3 GB."""
 _MAX_BYTES = {IMAGES: MAX_IMAGE_BYTES, LABELS: MAX_LABEL_BYTES, FRAMES: MAX_RECORD_BYTES}
 _MAX_VALUES = 300_000
 """Of a record, and lists and objects in it: one of 30,000 objects has 240,000. Each takes up to 300 bytes."""
@@ -156,12 +158,19 @@ def kept_images(folder: Path) -> Iterator[tuple[KeptImage, CollectedFrame]]:
     """Each image in `folder` with its record, in the order in which they were kept.
 
     What is no record, and one without an image, are left out. Raises CollectingError if the image, its labels
-    or its record are too large or no regular files, and OSError.
+    or its record are too large or no regular files, or all records together are, and OSError.
     """
+    read_bytes = 0
     for image in recorded_images(folder):
         sizes = {kind: _own_bytes(folder / file_of(image, kind), most) for kind, most in _MAX_BYTES.items()}
-        if sizes[IMAGES] is None or sizes[FRAMES] is None:
+        if sizes[IMAGES] is None or (size := sizes[FRAMES]) is None:
             continue
+        read_bytes += size
+        if read_bytes > MAX_RECORDS_BYTES:
+            raise CollectingError(
+                f"{folder / FRAMES}: expected at most {MAX_RECORDS_BYTES:,} bytes, found more; "
+                "use another folder"
+            )
         try:
             frame = read_record(folder, image)
         except (ValueError, FileNotFoundError):  # a detector may just have removed it

@@ -226,8 +226,9 @@ class CollectedFolder:
             if not (self._path / image).exists():
                 self._unlink(image)
         self._make_room(math.inf)
-        files = FolderTree().files(self._path)
-        for folder in {file.parent for file in files if file.suffix == UNFINISHED_SUFFIX}:
+        tree = FolderTree()
+        files = (file for kind in SUFFIXES for file in tree.files(self._path / kind))
+        for folder in {self._path, *(file.parent for file in files if file.suffix == UNFINISHED_SUFFIX)}:
             with suppress(OSError):
                 remove_abandoned(folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
 

@@ -25,6 +25,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     confined_path,
     read_data_file,
 )
+from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.models.class_names import ClassNamesError, class_names_of
 from yolov5_lifecycle.printable import in_one_line
 
@@ -51,8 +52,8 @@ class _Category(BaseModel):
 class _Image(BaseModel):
     id: _Id
     file_name: str
-    height: int | None = None
-    width: int | None = None
+    height: Any = None
+    width: Any = None
 
 
 class _Annotation(BaseModel):
@@ -93,7 +94,8 @@ def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) 
             problems.add("unusable entries", f"image {image_id}", error)
             continue
         boxes, ids, crowds = zip(*of_image, strict=True) if of_image else ((), (), ())
-        size_hw = (image.height, image.width) if image.height and image.width else None
+        sides = (image.height, image.width)
+        size_hw = sides if all(type(side) is int and 0 < side <= MAX_SIDE_PX for side in sides) else None
         found.append(LabelledPath(image_path, Labels(Boxes.of(boxes, ids, crowds), size_hw=size_hw)))
     if not any(len(image.labels.boxes) for image in found):
         raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())

@@ -61,10 +61,11 @@ def _check_path(output: Path, storage: StoragePlugin) -> None:
     name = in_one_line(output.name)
     if not is_utf8(output.name):
         raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
-    if storage is StoragePlugin.SQLITE3 and any(letter in str(output) for letter in "#?%"):
-        # In a URI these begin other parts: https://sqlite.org/uri.html
+    # In a URI these begin other parts: https://sqlite.org/uri.html
+    if storage is StoragePlugin.SQLITE3 and (set("#?%") & set(str(output)) or str(output).startswith("//")):
         raise OutputError(
-            f"{name}: the path of a recording in SQLite cannot have #, ? or %: choose another --output."
+            f"{name}: the path of a recording in SQLite cannot have #, ? or %, nor begin with //: choose "
+            "another --output, or a format such as .jsonl; of many recordings, rename this one."
         )
 
 

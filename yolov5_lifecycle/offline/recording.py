@@ -66,6 +66,8 @@ TYPES = _typestore()
 """Message types of Jazzy and vision_msgs."""
 MAX_METADATA_BYTES = 16 << 20
 _MAX_FILES = 10_000
+_MAX_CLAIMED = 10**15
+"""Messages of a topic, for which a recording may claim any number."""
 _FREE_SHARE = 0.9
 _BLOCK_BYTES = 1 << 20
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -237,7 +239,7 @@ class Recording:
             if topic.type_name in type_names and topic.encoding == CDR:
                 counts[topic.name, topic.type_name] += topic.count
         return [
-            RecordedTopic(name, type_name, max(count, self._claimed.get(name, 0)))
+            RecordedTopic(name, type_name, min(max(count, self._claimed.get(name, 0)), _MAX_CLAIMED))
             for (name, type_name), count in sorted(counts.items())
         ]
 

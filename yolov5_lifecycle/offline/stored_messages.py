@@ -283,7 +283,7 @@ def _restrict(database: Any) -> None:
     """Raise StorageError for anything but tables: views could run forever or return any size."""
     database.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
     columns = "SELECT 1 FROM sqlite_master, pragma_table_xinfo(sqlite_master.name) WHERE hidden > 1"
-    unusual = "SELECT 1 FROM sqlite_master WHERE type IN ('view', 'trigger') OR sql LIKE 'CREATE VIRTUAL%'"
+    unusual = "SELECT 1 FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
     for query in (unusual, columns):
         if database.execute(query).fetchone():
             raise StorageError(

@@ -25,7 +25,13 @@ from yolov5_lifecycle.collecting.collected_files import (
     write_description,
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, MAX_IMAGES, DataError, check_count
+from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_CLASSES,
+    MAX_IMAGES,
+    DataError,
+    check_box_count,
+    check_count,
+)
 from yolov5_lifecycle.evaluation.yolo_folder import label_text, labelled_objects
 from yolov5_lifecycle.offline.collected.arguments import command_parser
 from yolov5_lifecycle.offline.collected.contact_sheet import contact_sheet, first_reason
@@ -169,6 +175,7 @@ def _copy(folder: Path, output: Path, image: str, class_ids: Sequence[int]) -> N
     labels = file_of(image, LABELS)
     try:
         objects = list(labelled_objects(label_text(folder / labels) or "", len(class_ids)))
+        check_box_count(len(objects))
     except DataError as error:
         raise CollectingError(f"{folder / labels}: {error}; correct it") from None
     rows = ((class_ids[each.class_id], *each.values) for each in objects)
