@@ -12,7 +12,7 @@ from pathlib import Path
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
 from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics
-from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
+from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.offline.export.exporting import Export, write_files
 from yolov5_lifecycle.offline.export.formats import (
     FORMATS,
@@ -41,10 +41,9 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     parser = command_parser()
     arguments = parser.parse_args(argv)
     try:
-        with unwound_by_sigterm():
-            if arguments.jobs or arguments.ray or are_many(arguments.sources):
-                return _run_many(parser, arguments)
-            return _run(parser, arguments, prepare)
+        if arguments.jobs or arguments.ray or are_many(arguments.sources):
+            return _run_many(parser, arguments)
+        return _run(parser, arguments, prepare)
     except BrokenPipeError:
         raise  # not reported: the reader closed the output pipe, as with `| head`
     except SettingsError as error:

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import argparse
 import re
-import signal
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
 
-_TERMINATED = 128 + signal.SIGTERM
 _OF_THE_NODE = ("autostart", "bond_timeout", "image_reliability", "image_transport", "lazy", "max_rate")
 """Settings without effect offline; a parameter file may contain them, command-line arguments may not."""
 _NOT_OFFLINE = "it applies to a node that receives images; here every image is read from a file."
@@ -101,13 +97,3 @@ def _node_name(text: str) -> str:
             f"expected the full name of a node, such as /robot/yolov5, found {text!r}"
         )
     return text
-
-
-@contextmanager
-def unwound_by_sigterm() -> Iterator[None]:
-    """Unwind on SIGTERM, so that unfinished output is removed, and exit with code 143."""
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(_TERMINATED))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

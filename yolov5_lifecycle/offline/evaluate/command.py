@@ -12,7 +12,7 @@ from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
-from yolov5_lifecycle.offline.detector_options import unwound_by_sigterm, wanted_settings
+from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions, command_parser
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
         options = DataOptions(**{each.name: getattr(arguments, each.name) for each in fields(DataOptions)})
         if problem := _usage_problem(arguments, options):
             parser.error(problem)
-        with unwound_by_sigterm(), closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
+        with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
             return write_output(_COMMAND, _evaluated(arguments, options, terminal, prepare))
     except SettingsError as error:
         problems = "".join(f"\n  {problem}" for problem in error.problems)
