@@ -22,7 +22,7 @@ ALLOWED = {
     "ros.observer.call": DONE,
     "ros.detector.session.model": f"{DONE}, unless a program activates the node without its executor",
     "ros.detector.session.apply": DONE,
-    "ros.detector.model_loader.load": DONE,
+    "ros.detector.managed_resources.prepared": DONE,
     "ros.detector.reconfiguration._reload_now": DONE,
     "ros.detector.reconfiguration._commit": DONE,
 }

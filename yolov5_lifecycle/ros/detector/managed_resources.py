@@ -14,15 +14,17 @@ from std_srvs.srv import Trigger
 
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.detection.prepared_model import Prepare
+from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.process.memory import resident_mb
+from yolov5_lifecycle.ros.detector.background import Background
 from yolov5_lifecycle.ros.detector.diagnostics import Status
-from yolov5_lifecycle.ros.detector.model_loader import Background, ModelLoader, Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
-from yolov5_lifecycle.ros.detector.session import DetectorCamera, Session
+from yolov5_lifecycle.ros.detector.session import DetectorCamera, Preparation, Session
 from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import impossible_names
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.inference_threads import InferenceThreads
 
@@ -34,9 +36,10 @@ class ManagedResources:
     """Owns the cameras, their publishers from `configure` to `release`, and the session from `activate` to
     `deactivate`; the collector of images, and the service with which somebody asks for one.
 
-    The model loader exists from construction to `close`. `on_too_many(reason)`, whose result is awaited, and
-    `on_device_lost(reason)` are called in the executor; see `Session`. A frame in progress is waited
-    for `rest_timeout_s`.
+    Models are prepared and freed one at a time in a thread of their own, from construction to `close`.
+    `on_too_many(reason)`, whose result is awaited, and `on_device_lost(reason)`, also called when a model
+    cannot be prepared because of that, are called in the executor; see `Session`. A frame in progress is
+    waited for `rest_timeout_s`.
     """
 
     node: LifecycleNode
@@ -51,11 +54,9 @@ class ManagedResources:
         self._cameras: dict[str, DetectorCamera] = {}
         self._track_ids = itertools.count(1)
         self._waits = Background(self.node, "waits")
+        self._models = Background(self.node, "background")
         self._collector = _collector(self.parameters)
         self.node.create_service(Trigger, "~/collect", self._collect)
-        self.loader = ModelLoader(
-            self.node, self.prepare, sizes_hw=self._sizes_hw, on_device_lost=self.on_device_lost
-        )
         self.session: Session | None = None
         self._abandoned: list[InferenceThreads] = []
         """Those of sessions in which a frame hung."""
@@ -81,7 +82,7 @@ class ManagedResources:
             self.node.get_logger().warning("activate refused: the model is already being loaded")
             return False
         self._loading_for = label_info
-        preparation = await self.loader.load(
+        preparation = await self.prepared(
             lambda: self.parameters.settings() if self._may_activate(label_info) else None
         )
         if self._loading_for is label_info:
@@ -94,6 +95,33 @@ class ManagedResources:
         self.session = self._new_session(label_info, preparation)
         return True
 
+    async def prepared(self, wanted: Callable[[], Settings | None]) -> Preparation | None:
+        """Prepare the model for `wanted()`; repeat if other settings are wanted by then.
+
+        Returns None as soon as `wanted()` does; models that are no longer wanted are freed.
+        """
+        while (settings := wanted()) is not None:
+            preparation = await self._models.finish(self._prepare(settings))
+            error = preparation.exception()
+            if isinstance(error, DeviceLostError):
+                self.on_device_lost(str(error))
+            now_wanted = wanted()
+            if now_wanted is not None and not settings.differing(now_wanted, Change.RELOAD):
+                return preparation
+            if error is None:
+                preparation.result().close()
+        return None
+
+    async def retire(self, model: PreparedModel, session: Session) -> None:
+        """Free `model` after its last frame in `session`, unless a hanging thread may still use it."""
+
+        def free() -> None:
+            has_rested = session.threads.rest(self.rest_timeout_s)
+            model.close(is_at_rest=has_rested and not self.hanging_threads)
+
+        if (error := (await self._models.finish(self._models.submit(free))).exception()) is not None:
+            self.node.get_logger().error(f"the previous model could not be freed: {error}")
+
     def activate(self) -> Session:
         """Start the loaded session; if a program triggered the transition without `load`, load now.
 
@@ -102,7 +130,7 @@ class ManagedResources:
         assert self._label_info is not None, "rclpy activates only a configured node"
         settings = self.parameters.settings()
         if self.session is None:
-            self.session = self._new_session(self._label_info, self.loader.begin(settings))
+            self.session = self._new_session(self._label_info, self._prepare(settings))
         self.session.start(settings)
         return self.session
 
@@ -120,10 +148,6 @@ class ManagedResources:
             if not threads.is_at_rest:
                 await self._waits.finish(self._waits.submit(partial(threads.rest, self.rest_timeout_s)))
             yield
-
-    def is_at_rest(self, session: Session) -> bool:
-        """Wait for the frames in progress; False if a thread hangs, which may still use a model."""
-        return session.threads.rest(self.rest_timeout_s) and not self.hanging_threads
 
     def deactivate(self) -> bool:
         """Release the session; False if its frame hangs and it was abandoned.
@@ -151,7 +175,7 @@ class ManagedResources:
     def close(self) -> None:
         """End the threads; those that hang are abandoned and logged. Call after `release`."""
         log = self.node.get_logger()
-        if not self.loader.close():
+        if not self._models.close():
             log.warning("a model is still being loaded or freed: its thread is abandoned")
         if self.hanging_threads:
             log.warning("inference has still not finished: its thread is abandoned")
@@ -213,9 +237,10 @@ class ManagedResources:
         if self.session is not None:
             self.session.follow_subscribers()
 
-    def _sizes_hw(self, settings: Settings) -> list[tuple[int, int]]:
-        """The size of each camera's last image, or a common size."""
-        return [self._cameras[name].last_image.size_hw for name in settings.camera_names]
+    def _prepare(self, settings: Settings) -> Preparation:
+        """Queue the preparation of the model, warmed up with the size of each camera's last image."""
+        sizes_hw = [self._cameras[name].last_image.size_hw for name in settings.camera_names]
+        return self._models.submit(lambda: self.prepare(settings, sizes_hw))
 
     def _make_cameras(self) -> None:
         """Those that the parameters name; the others, which have no publishers any more, end."""

@@ -15,9 +15,13 @@ from yolov5_lifecycle.printable import in_lines, in_one_line
 from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
-from yolov5_lifecycle.ros.detector.model_loader import REFUSALS
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
+from yolov5_lifecycle.ros.detector.session import (
+    MAX_ABANDONED_SESSIONS,
+    REFUSALS,
+    REST_TIMEOUT_S,
+    abandoned,
+)
 from yolov5_lifecycle.ros.nodes import PrintableNode
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
 from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
@@ -126,9 +130,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
             on_device_lost=self._lose_device,
             rest_timeout_s=rest_timeout_s,
         )
-        self._reconfiguration = Reconfiguration(
-            self, parameters=self._settings, loader=self._resources.loader, resources=self._resources
-        )
+        self._reconfiguration = Reconfiguration(self, self._settings, self._resources)
         self._diagnostics = Diagnostics(self, self._status, period_s=diagnostics_period_s)
         self._bond: Bond | None = None
         wrap_services(self, {"change_state": self._change_state} | self._reconfiguration.handlers())

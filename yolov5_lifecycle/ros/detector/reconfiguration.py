@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -13,9 +12,9 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
+from yolov5_lifecycle.ros.detector.background import resume
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
-from yolov5_lifecycle.ros.detector.model_loader import REFUSALS, ModelLoader, Preparation, resume
-from yolov5_lifecycle.ros.detector.session import Session
+from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refusal
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings.schema import Change
@@ -46,7 +45,6 @@ class Reconfiguration:
 
     node: Node
     parameters: SettingsParameters
-    loader: ModelLoader
     resources: ManagedResources
 
     def __post_init__(self) -> None:
@@ -116,7 +114,7 @@ class Reconfiguration:
 
         It takes effect between two frames of all cameras: afterwards no frame has the previous model.
         """
-        preparation = await self.loader.load(lambda: self._wanted(session, asked))
+        preparation = await self.resources.prepared(lambda: self._wanted(session, asked))
         if preparation is None:
             return self._overtaken(asked)
         try:
@@ -136,7 +134,7 @@ class Reconfiguration:
         finally:
             if unused is not new:
                 self.node.get_logger().info(f"the model was replaced: {new.summary}")
-            await self.loader.retire(unused, after=partial(self.resources.is_at_rest, session))
+            await self.resources.retire(unused, session)
 
     def _wanted(self, session: Session, asked: Proposal) -> Settings | None:
         """The settings with what was `asked`; None if that is obsolete."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
 
@@ -23,7 +24,6 @@ from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
-from yolov5_lifecycle.ros.detector.model_loader import Preparation
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
@@ -36,6 +36,10 @@ from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
 
 REST_TIMEOUT_S = 3.0
 """Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
+Preparation = Future[PreparedModel]
+"""Once done, holds the model or the exception that explains the failure."""
+REFUSALS = (ValueError, OSError, RuntimeError)
+"""Exceptions of a preparation with a message for the user; any other is a bug."""
 MAX_ABANDONED_SESSIONS = 3
 """Each holds the memory of its model and images; beyond this limit, restart the process."""
 
