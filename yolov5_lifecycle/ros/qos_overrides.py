@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Literal
 
 from rclpy.node import Node
@@ -59,12 +58,8 @@ def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = Fa
     return problems
 
 
-def qos_rules(node: Node) -> list[Callable[[Settings], list[Problem]]]:
-    """The rule that a QoS override and `image_reliability` must not both set a camera's reliability."""
-    return [partial(_reliability_problems, node)]
-
-
-def _reliability_problems(node: Node, settings: Settings) -> list[Problem]:
+def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
+    """A QoS override and `image_reliability` must not both set a camera's reliability."""
     overrides = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX)]
     if not overrides or impossible_names(node, settings.camera_names):  # which `configure` refuses
         return []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -59,28 +59,37 @@ def start_arguments(arguments: Sequence[str]) -> StartArguments:
     """
     for number, word in enumerate(arguments):
         _check_utf8(number, word)
-    read = {path: _read(path) for _, path in _file_positions(arguments)}
-    files = {path: nodes for path, nodes in read.items() if isinstance(nodes, dict)}
-    words = _without_files(arguments, read.keys() - files.keys())
-    problems = (problem for problem in read.values() if isinstance(problem, str))
-    return StartArguments(words, files, (*problems, *_clashes(words, files)))
+    files: dict[str, Nodes] = {}
+    problems: dict[str, str] = {}
+    left_out = set[int]()
+    for index, option, path in _ros_options(arguments):
+        if option == _FLAG:
+            try:
+                files[path] = read_parameter_file(Path(path))
+            except ParameterFileError as error:
+                problems[path] = (
+                    f"the parameter file cannot be read: {error} Correct the file and restart the node."
+                )
+                left_out |= {index, index + 1}
+    words = tuple(word for index, word in enumerate(arguments) if index not in left_out)
+    return StartArguments(words, files, (*problems.values(), *_clashes(words, files)))
 
 
-def initialize(arguments: StartArguments) -> StartArguments:
+def initialize(words: Sequence[str]) -> None:
     """Initialize rclpy without its signal handlers, which would shut the context down before nodes clean up.
 
-    Returns the accepted arguments: without any parameter file if ROS rejects a file that this package could
-    read. Raises RuntimeError for other invalid ROS arguments, and without a folder for the log.
+    Raises RuntimeError for invalid ROS arguments, and without a folder for the log.
     """
     try:
-        _initialize(arguments.words)
+        rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        if not arguments.files or _FLAG not in str(error):
-            raise
-        words = _without_files(arguments.words, arguments.files)
-        arguments = StartArguments(words, {}, (*arguments.problems, _refusal(str(error))))
-        _initialize(words)
-    return arguments
+        reason = in_one_line(str(error).partition(", at /")[0])  # without the lines of C where it arose
+        if _NO_LOG.search(str(error)):
+            reason += (
+                ". Set ROS_LOG_DIR to a folder that this user can write to; without it, ROS logs to .ros/log "
+                "in the folder HOME."
+            )
+        raise RuntimeError(reason) from error
 
 
 def misaddressed_files(files: Mapping[str, Nodes], node_name: str) -> Iterator[str]:
@@ -95,18 +104,6 @@ def misaddressed_files(files: Mapping[str, Nodes], node_name: str) -> Iterator[s
                 f"the parameter file {path} has no effect: it is for {others}, but this node is "
                 f"{node_name}. Use {node_name} or /** as its top-level key."
             )
-
-
-def _read(path: str) -> Nodes | str:
-    """The parameters in the file at `path`, or why it cannot be read."""
-    try:
-        return read_parameter_file(Path(path))
-    except ParameterFileError as error:
-        return _unreadable(str(error))
-
-
-def _unreadable(reason: str) -> str:
-    return f"the parameter file cannot be read: {reason} Correct the file and restart the node."
 
 
 def _clashes(words: Sequence[str], files: Mapping[str, Nodes]) -> Iterator[str]:
@@ -163,41 +160,6 @@ def _check_utf8(number: int, word: str) -> None:
             f"argument {number}, {in_one_line(word)}: expected UTF-8, found other bytes. Rename what it "
             "names, or type it in a terminal that writes UTF-8."
         ) from None
-
-
-def _initialize(words: Sequence[str]) -> None:
-    try:
-        rclpy.init(args=list(words), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        if not _NO_LOG.search(str(error)):
-            raise
-        raise RuntimeError(
-            f"{_without_source(str(error))}. Set ROS_LOG_DIR to a folder that this user can write to; "
-            "without it, ROS logs to .ros/log in the folder HOME."
-        ) from error
-
-
-def _refusal(error: str) -> str:
-    """Problem text from rcl's error message about an unreadable parameter file."""
-    path, _, reason = error.partition(f"'{_FLAG} ")[2].partition("'. Error: ")
-    return _unreadable(f"{in_one_line(path)}: {_without_source(reason)}.")
-
-
-def _without_source(error: str) -> str:
-    """An error message of rcl in one line, without the lines of C where it arose."""
-    return in_one_line(error.partition(", at /")[0])
-
-
-def _file_positions(words: Sequence[str]) -> Iterator[tuple[int, str]]:
-    """Position of each --params-file in the ROS arguments, and the path that follows it."""
-    return ((index, path) for index, option, path in _ros_options(words) if option == _FLAG)
-
-
-def _without_files(words: Sequence[str], paths: Container[str]) -> tuple[str, ...]:
-    """`words` without each --params-file that one of `paths` follows."""
-    flags = [index for index, path in _file_positions(words) if path in paths]
-    left_out = {*flags, *(index + 1 for index in flags)}
-    return tuple(word for index, word in enumerate(words) if index not in left_out)
 
 
 def _ros_options(words: Sequence[str]) -> Iterator[tuple[int, str, str]]:

@@ -10,7 +10,7 @@ from typing import TypeVar
 from pydantic import BaseModel
 
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH, camera_names_rule
-from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, Schema, Setting, SettingsError
+from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
 from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, nearest
 
 CAMERAS = "cameras"
@@ -83,18 +83,6 @@ class OverridableSchema(Schema[Model]):
         problem = super().unknown(name, values, may_suggest=may_suggest)
         reason = self._reason(name, _cameras(values), may_suggest=may_suggest)
         return Problem(problem.setting, f"there is no such parameter: {reason}") if reason else problem
-
-    def differing(
-        self, ours: Mapping[str, object], others: Mapping[str, object], change: Change
-    ) -> list[str]:
-        """Names of the settings and overrides whose `Change` is `change` and whose values differ."""
-        return [
-            name
-            for name in {**ours, **others}
-            if ours.get(name) != others.get(name)
-            and (setting := self.find(name)) is not None
-            and setting.change is change
-        ]
 
     def _reason(self, name: str, cameras: Sequence[str], *, may_suggest: bool) -> str:
         """Why there is no parameter `name` with these `cameras`; empty if they have nothing to do with it."""

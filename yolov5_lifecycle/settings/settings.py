@@ -293,7 +293,8 @@ class Settings(BaseModel):
     def differing(self, other: Settings, change: Change) -> list[str]:
         """Names of the settings and overrides whose `Change` is `change` and whose values differ."""
         ours, others = {**dict(self), **self.overrides}, {**dict(other), **other.overrides}
-        return SCHEMA.differing(ours, others, change)
+        names = [name for name in {**ours, **others} if ours.get(name) != others.get(name)]
+        return [name for name in names if (setting := SCHEMA.find(name)) and setting.change is change]
 
     def digest(self) -> str:
         """Twelve hexadecimal digits that identify this configuration."""

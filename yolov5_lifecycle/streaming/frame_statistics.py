@@ -82,16 +82,6 @@ class EmptyRun:
     def duration_s(self) -> float:
         return self.ended_s - self.begun_s
 
-    def longer(self, now_s: float, best_missed: float, best_filtered: float) -> EmptyRun:
-        """With one more frame, at `now_s` (monotonic seconds)."""
-        return EmptyRun(
-            frames=self.frames + 1,
-            begun_s=self.begun_s if self.frames else now_s,
-            ended_s=now_s,
-            best_missed=max(best_missed, self.best_missed),
-            best_filtered=max(best_filtered, self.best_filtered),
-        )
-
 
 @dataclass
 class EmptyFrames:
@@ -101,8 +91,17 @@ class EmptyFrames:
 
     def add(self, now_s: float, found: int, *, best_missed: float, best_filtered: float = 0.0) -> None:
         """Add a frame with `found` detections at `now_s` (monotonic seconds)."""
+        if found:
+            self.run = EmptyRun()
+            return
         before = self.run
-        self.run = EmptyRun() if found else before.longer(now_s, best_missed, best_filtered)
+        self.run = EmptyRun(
+            frames=before.frames + 1,
+            begun_s=before.begun_s if before.frames else now_s,
+            ended_s=now_s,
+            best_missed=max(best_missed, before.best_missed),
+            best_filtered=max(best_filtered, before.best_filtered),
+        )
 
 
 @dataclass(frozen=True)

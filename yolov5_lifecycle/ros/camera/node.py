@@ -124,7 +124,8 @@ def _run(arguments: list[str]) -> int:
     stop = stop_event()
     shortages = shared_memory_problems()
     try:
-        given = initialize(start_arguments(arguments))
+        given = start_arguments(arguments)
+        initialize(given.words)
         if words := given.own_words:
             return explain("camera", words, usage=_USAGE, settings=SCHEMA.settings)
         if given.problems:

@@ -50,7 +50,7 @@ def _run(arguments: list[str]) -> int:
     try:
         given = start_arguments(arguments)
         options = parsed(given.own_words)
-        given = initialize(given)
+        initialize(given.words)
         if given.problems:
             return refuse(_NAME, " ".join(given.problems))
         node = PrintableNode(_NAME)

@@ -64,7 +64,8 @@ def _run(arguments: list[str], prepare: Prepare, finalized_s: float, max_abandon
     stop = stop_event()
     shortages = shared_memory_problems()
     try:
-        given = initialize(start_arguments(arguments))
+        given = start_arguments(arguments)
+        initialize(given.words)
         if words := given.own_words:
             return explain("detector", words, usage=_USAGE, settings=SETTINGS)
         node = DetectorNode(

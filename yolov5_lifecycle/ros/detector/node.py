@@ -24,7 +24,7 @@ from yolov5_lifecycle.ros.detector.session import (
 )
 from yolov5_lifecycle.ros.nodes import PrintableNode
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
-from yolov5_lifecycle.ros.qos_overrides import qos_problems, qos_rules
+from yolov5_lifecycle.ros.qos_overrides import qos_problems, reliability_problems
 from yolov5_lifecycle.ros.rclpy_internals import (
     ForgettingGroup,
     available_transitions,
@@ -117,7 +117,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self.exit_code: int | None = None
         self._settings = SettingsParameters(
             self,
-            rules=qos_rules(self),
+            rule=functools.partial(reliability_problems, self),
             arguments=arguments,
             validate=validate,
             is_unconfigured=lambda: self.state_label == "unconfigured",

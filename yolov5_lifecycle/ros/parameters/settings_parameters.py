@@ -99,7 +99,7 @@ class SettingsParameters:
     `propose` validates a service request, `store` sets the proposed values. Nothing else may set a parameter
     that is a setting.
 
-    `rules` are checked in addition to those of Settings. `arguments` are the command-line arguments.
+    `rule` is checked in addition to those of Settings. `arguments` are the command-line arguments.
     `validate` creates settings from values.
     """
 
@@ -107,13 +107,13 @@ class SettingsParameters:
         self,
         node: Node,
         *,
-        rules: Sequence[Rule] = (),
+        rule: Rule = lambda _: [],
         arguments: Sequence[str] = (),
         validate: Validate = validated,
         is_unconfigured: Callable[[], bool] = lambda: False,
     ) -> None:
         self._node = node
-        self._rules = rules
+        self._rule = rule
         self._validate = validate
         self._is_unconfigured = is_unconfigured
         values, self._sources = declare(node, SCHEMA, arguments=arguments)
@@ -248,7 +248,7 @@ class SettingsParameters:
             settings = self._validate(values)
         except SettingsError as error:
             return Configuration(values, None, tuple(error.problems))
-        problems = [problem for rule in self._rules for problem in rule(settings)]
+        problems = self._rule(settings)
         return Configuration(values, None if problems else settings, tuple(problems))
 
     def _problems_of(
