@@ -37,11 +37,6 @@ def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Pro
     return problems
 
 
-def depends_on_model(name: str) -> bool:
-    """Whether the loaded model decides if a value of `name`, a setting or an override of one, is valid."""
-    return name.rpartition(SEPARATOR)[2] in _MODEL_DEPENDENT
-
-
 def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
     """NMS and filter parameters from `settings`; ValueError when `model_problems` reports any."""
     return Selection(

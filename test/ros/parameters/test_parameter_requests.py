@@ -246,7 +246,7 @@ def test_a_loaded_file_with_new_classes_and_new_weights_says_how_to_set_both(
     refused = served.set_one_by_one(asked)
     assert [result.successful for result in refused] == [False, False]
     assert "'star' is not a class of the model" in refused[0].reason
-    assert "If these are classes of the new model in this request" in refused[0].reason
+    assert "If it depends on another parameter of this request: set both together" in refused[0].reason
     assert "`classes` still names classes of the running model" in refused[1].reason
     assert served.set_messages(asked) == (True, "")
     assert served.label_info().class_map[0].class_name == "star"

@@ -61,14 +61,13 @@ class Subscription:
         self.problem = ""
         self.qos = self._wanted(())
 
-    def follow(self) -> bool:
-        """Subscribe again if the publishers in the ROS graph require it; return whether this subscribed."""
+    def follow(self) -> None:
+        """Subscribe again if the publishers in the ROS graph require it."""
         wanted = self._wanted(self.topic.look().offers)
-        if self._subscription is not None and wanted == self.qos:
-            return False
-        self.close()
-        self.qos = wanted
-        return self._subscribe()
+        if self._subscription is None or wanted != self.qos:
+            self.close()
+            self.qos = wanted
+            self._subscribe()
 
     def status(self) -> TopicStatus:
         """That of the topic, with the problem of the subscription."""
@@ -90,8 +89,9 @@ class Subscription:
             durability = _common(durabilities, DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE)
         return QoSProfile(depth=self.depth, reliability=reliability, durability=durability)
 
-    def _subscribe(self) -> bool:
-        topic, node = self.topic, self.topic.node
+    def _subscribe(self) -> None:
+        topic, node, told = self.topic, self.topic.node, self.problem
+        self.problem = ""
         try:
             self._subscription = node.create_subscription(
                 topic.message_type,
@@ -103,13 +103,9 @@ class Subscription:
             )
         except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
             name, reason = in_one_line(topic.name), in_one_line(str(error))
-            problem = f"cannot subscribe to {name}: {reason}{self.consequence}"
-            if problem != self.problem:
-                node.get_logger().error(problem)
-            self.problem = problem
-            return False
-        self.problem = ""
-        return True
+            self.problem = f"cannot subscribe to {name}: {reason}{self.consequence}"
+            if self.problem != told:
+                node.get_logger().error(self.problem)
 
 
 def _common(offers: Sequence[Policy], strict: Policy, lenient: Policy) -> Policy:
@@ -160,11 +156,6 @@ class ImageLosses:
         self._begun_ns = 0.0
         self._last_number: int | None = None
 
-    def subscribe(self) -> None:
-        """Handle a (re)subscription; images that the same publisher sent in between count as missed."""
-        if self._publisher is None:
-            self._restart(None, 0)
-
     def take(self, number: int | None, received_ns: int) -> None:
         """Record a taken message: sequence number, None if the middleware has none, and arrival time."""
         if number is None or received_ns < self._begun_ns:
@@ -182,7 +173,7 @@ class ImageLosses:
         of publishers matched so far. `has_joined`: whether a publisher was added since the last call.
         """
         if ever_matched == 1 and publisher is not None and self._publisher in (None, publisher):
-            self._publisher = publisher
+            self._publisher, self._begun_ns = publisher, min(self._begun_ns, now_ns)
             return
         if not has_joined:
             self.settle()
@@ -254,8 +245,7 @@ class ImageInput:
         if self._subscription is None:
             return
         self.losses.settle()
-        if self._subscription.follow():
-            self.losses.subscribe()
+        self._subscription.follow()
         now_s = time.monotonic()
         self._samples.append((now_s, self._received, self.losses.lost))
         while len(self._samples) > 2 and now_s - self._samples[1][0] >= WINDOW_S:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import types
 from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
@@ -11,30 +12,25 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
-from yolov5_lifecycle.detection.selection import depends_on_model, model_problems
+from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros.detector.background import resume
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refusal
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings.schema import Change
-from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
+from yolov5_lifecycle.settings.settings import Settings
 
 _AT_A_TIME = 10
 """Parameters of one request processed before other callbacks are served."""
 _TOGETHER = (
-    " All parameters of this request would be valid together: send them through set_parameters_atomically, "
-    "or set them in another order."
+    " If it depends on another parameter of this request: set both together through "
+    "set_parameters_atomically, or in another order."
 )
 _OLD_CLASSES = (
     " {names} still names classes of the running model: set it together with the new weights through "
     "set_parameters_atomically, or set it to [] before. The running model stays."
 )
-_NEW_CLASSES = (
-    " If these are classes of the new model in this request: set both together through "
-    "set_parameters_atomically, or while the node is inactive."
-)
-
 _LEFT = "the node left the active state while the new model was loading; nothing was changed."
 _SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
 
@@ -66,12 +62,13 @@ class Reconfiguration:
         for index, parameter in enumerate(asked):
             if index % _AT_A_TIME == _AT_A_TIME - 1:
                 self.node.executor.wake()
-                await _Pause()
+                await _pause()
             proposal = self.parameters.propose([parameter])
             result = await self._set(proposal)
             if not result.successful and len(asked) > 1:
                 whole = whole or self.parameters.propose(asked)
-                result.reason += _remark(proposal, whole)
+                if not whole.problems and proposal.kind is not Change.RELOAD:
+                    result.reason += _TOGETHER
             response.results.append(result)
         return response
 
@@ -170,27 +167,10 @@ class Reconfiguration:
         return result
 
 
-class _Pause:
-    """Awaitable that lets the executor serve ready callbacks first."""
-
-    def __await__(self) -> Generator[None, None, None]:
-        yield
-
-
-def _remark(proposal: Proposal, whole: Proposal) -> str:
-    """Hint appended to the refusal of one parameter of a request."""
-    if proposal.problems:
-        return "" if whole.problems else _TOGETHER
-    if proposal.kind is Change.RELOAD or not any(
-        depends_on_model(parameter.name) for parameter in proposal.asked
-    ):
-        return ""
-    return _NEW_CLASSES if any(map(_needs_reload, whole.asked)) else ""
-
-
-def _needs_reload(parameter: Parameter) -> bool:
-    setting = SETTINGS_BY_NAME.get(parameter.name)
-    return setting is not None and setting.change is Change.RELOAD
+@types.coroutine
+def _pause() -> Generator[None, None, None]:
+    """Let the executor serve ready callbacks first."""
+    yield
 
 
 def _refused(reason: str) -> SetParametersResult:
