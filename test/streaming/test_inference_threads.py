@@ -160,7 +160,7 @@ def test_a_frame_that_hangs_after_its_detections_are_sent_is_abandoned_as_detect
 def test_while_paused_no_frame_begins(line: Line) -> None:
     with line.inference.paused(), line.inference.paused():
         line.offer(1)
-        assert line.inference.is_at_rest
+        assert line.inference.rest(0.0)
         assert line.inference.rest(0.0)
         line.offer(2)
         assert line.balance().pending == 1
@@ -335,7 +335,7 @@ def test_close_waits_for_every_thread_and_counts_each_frame_once(cameras: Camera
     assert cameras.inference.close(0.0 if hung else PATIENCE_S) is not bool(hung)
     outcomes = [Outcome.FAILED] * hung + [Outcome.DETECTED] * (2 - hung)
     assert [camera.counts() for camera in in_progress] == [{outcome: 1} for outcome in outcomes]
-    assert cameras.inference.is_at_rest
+    assert cameras.inference.rest(0.0) is not bool(hung)
     assert cameras.inference.hanging == hung
 
 

@@ -69,19 +69,16 @@ def _naming_problem(node: Node, topic: str) -> str:
 
 
 def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per impossible name, and per name to which several topics of `node` are remapped."""
-    return impossible_names(node, cameras) or [
-        f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
-        "different remappings"
-        for name, topics in _shared_topics(node, cameras).items()
-    ]
-
-
-def _shared_topics(node: Node, cameras: Sequence[str]) -> dict[str, list[str]]:
+    """One problem per name to which several topics of `node` are remapped; none may be impossible."""
     by_name: dict[str, list[str]] = {}
     for topic in (*published(cameras), *subscribed(cameras), *_OTHERS):
         by_name.setdefault(full_name(node, topic), []).append(topic)
-    return {name: topics for name, topics in by_name.items() if len(topics) > 1}
+    return [
+        f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
+        "different remappings"
+        for name, topics in by_name.items()
+        if len(topics) > 1
+    ]
 
 
 def full_name(node: Node, topic: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 
 from pydantic_core import PydanticCustomError
@@ -18,8 +18,6 @@ Rule = Callable[..., object]
 
 MAX_CLASS_NAME = 200
 """Characters; no model has longer names."""
-_NUMBER = re.compile(r"(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
-_MAX_NUMBER = 40
 _MAX_SHOWN = 60
 
 
@@ -73,14 +71,17 @@ def class_threshold(entry: str) -> tuple[str, float]:
     The last colon separates them: the name of a class may have some.
     """
     name, colon, text = (part.strip() for part in entry.rpartition(":"))
-    is_number = len(text) <= _MAX_NUMBER and _NUMBER.fullmatch(text) is not None
     if len(name) > MAX_CLASS_NAME:
         raise _no_threshold(entry, f"names a class with more than {MAX_CLASS_NAME} characters")
-    if not (name and colon and is_number and float(text) <= 1):
+    try:
+        threshold = float(text)
+    except ValueError:
+        threshold = math.nan
+    if not (name and colon and 0 <= threshold <= 1):
         raise _no_threshold(
             entry, "is not a class name or index, a colon and a number from 0 to 1, as in 'person: 0.5'"
         )
-    return name, float(text)
+    return name, threshold
 
 
 def thresholds_of_classes(value: tuple[str, ...]) -> tuple[str, ...]:

@@ -178,12 +178,6 @@ class InferenceThreads:
                 self._begin_tasks()
 
     @property
-    def is_at_rest(self) -> bool:
-        """Whether no frame is in progress."""
-        with self._lock:
-            return not self._tasks
-
-    @property
     def hanging(self) -> int:
         """Number of abandoned threads that still process their frame."""
         with self._lock:

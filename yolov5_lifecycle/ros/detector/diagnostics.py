@@ -39,7 +39,6 @@ class Summary:
     hint: str
     remark: str
     values: dict[str, str]
-    is_of_camera: bool = False
 
     @property
     def message(self) -> str:
@@ -89,7 +88,7 @@ class Status:
 
     def _summary(self, camera: CameraStatus) -> Summary:
         hint, remark = (camera.hint, camera.remark) if self.state == "active" else ("", self._inactivity)
-        return Summary(camera.camera, camera.problem, hint, remark, camera.values(), is_of_camera=True)
+        return Summary(camera.camera, camera.problem, hint, remark, camera.values())
 
     @property
     def _inactivity(self) -> str:
@@ -173,19 +172,18 @@ class Diagnostics:
         A text in which only numbers changed is the same reason.
         """
         log, now_s, before = self.node.get_logger(), self.clock(), self._reasons
-        reasons = {each.name: re.sub(r"[\d.]+", "", each.hint or each.remark) for each in summaries}
-        logged_s = {
-            (name, reason): at_s
-            for (name, reason), at_s in self._logged_s.items()
-            if name in reasons and now_s - at_s < _REPEAT_S
+        self._reasons = {each.name: re.sub(r"[\d.]+", "", each.hint or each.remark) for each in summaries}
+        self._logged_s = {
+            key: at_s
+            for key, at_s in self._logged_s.items()
+            if key[0] in self._reasons and now_s - at_s < _REPEAT_S
         }
-        self._reasons, self._logged_s = reasons, logged_s
         for each in summaries:
-            key = each.name, reasons[each.name]
-            if key[1] in ("", before.get(each.name, "")) or key in logged_s:
+            key = each.name, self._reasons[each.name]
+            if key[1] in ("", before.get(each.name, "")) or key in self._logged_s:
                 continue
-            logged_s[key] = now_s
-            whose = f"{each.name}: " if each.is_of_camera else ""
+            self._logged_s[key] = now_s
+            whose = "" if each.name in ("", NODE_STATUS) else f"{each.name}: "
             if each.hint:
                 log.warning(f"{whose}{each.hint}")
             else:

@@ -145,7 +145,7 @@ class ManagedResources:
             return
         threads = self.session.threads
         with threads.paused():
-            if not threads.is_at_rest:
+            if not threads.rest(0.0):
                 await self._waits.finish(self._waits.submit(partial(threads.rest, self.rest_timeout_s)))
             yield
 
