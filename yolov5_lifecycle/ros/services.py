@@ -17,7 +17,7 @@ from yolov5_lifecycle.printable import in_one_line
 MAX_ITEMS = 800
 """Max parameters, names or prefixes in one request; the node with overrides for 16 cameras has 648."""
 
-_MAX_REASON = 5_000
+MAX_REASON = 5_000
 """Max characters of the reason for a refusal."""
 Handler = Callable[[Any, Any], Any]
 """(request, response) -> response, or an awaitable of one."""
@@ -68,7 +68,7 @@ def _printable(response: Any) -> Any:
     results = [*getattr(response, "results", []), getattr(response, "result", None)]
     for result in results:
         if isinstance(result, SetParametersResult) and result.reason:
-            result.reason = in_one_line(result.reason, _MAX_REASON)
+            result.reason = in_one_line(result.reason, MAX_REASON)
     return response
 
 

@@ -16,7 +16,7 @@ from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros.detector.background import resume
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
-from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refusal
+from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused
 from yolov5_lifecycle.ros.services import Handler
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
@@ -80,7 +80,7 @@ class Reconfiguration:
     async def _set(self, proposal: Proposal) -> SetParametersResult:
         """Apply the whole proposal or nothing."""
         if proposal.problems:
-            return refusal(proposal.problems)
+            return refused(*proposal.problems)
         session = self.resources.session
         if session is not None and proposal.kind is Change.RELOAD:
             return await self._reload(session, proposal)
@@ -96,7 +96,7 @@ class Reconfiguration:
         if self._is_reloading:
             turn = self._waiting = RosFuture(executor=self.node.executor)
             if not await turn:
-                return _refused(_SUPERSEDED)
+                return refused(_SUPERSEDED)
         self._is_reloading = True
         try:
             return await self._reload_now(session, proposal)
@@ -118,7 +118,7 @@ class Reconfiguration:
             new = preparation.result()
         except REFUSALS as error:
             self.node.get_logger().warning(f"the running model stays, its replacement was refused: {error}")
-            return _refused(f"{error} The running model stays.")
+            return refused(f"{error} The running model stays.")
         unused = new
         try:
             async with self.resources.between_frames():
@@ -142,7 +142,7 @@ class Reconfiguration:
     def _overtaken(self, asked: Proposal) -> SetParametersResult:
         """Another change came first and contradicts this one, or another transition came first."""
         proposal = self.parameters.renewed(asked)
-        return refusal(proposal.problems) if proposal.problems else _refused(_LEFT)
+        return refused(*proposal.problems) if proposal.problems else refused(_LEFT)
 
     def _commit(self, proposal: Proposal, preparation: Preparation | None) -> SetParametersResult:
         """Make a valid proposal take effect, with the model of `preparation`, and store it; or nothing."""
@@ -151,7 +151,7 @@ class Reconfiguration:
             return self.parameters.store(proposal)
         running = session.preparation
         if problems := model_problems(after, preparation.result().detector.class_names):
-            result = refusal(problems)
+            result = refused(*problems)
             if preparation is not running:
                 names = ", ".join(f"`{problem.setting}`" for problem in problems)
                 result.reason += _OLD_CLASSES.format(names=names)
@@ -171,7 +171,3 @@ class Reconfiguration:
 def _pause() -> Generator[None, None, None]:
     """Let the executor serve ready callbacks first."""
     yield
-
-
-def _refused(reason: str) -> SetParametersResult:
-    return SetParametersResult(successful=False, reason=reason)

@@ -6,7 +6,7 @@ Overrides of settings for a camera are declared only while they have a value, bu
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from itertools import pairwise
 from typing import Any
@@ -18,7 +18,6 @@ from rclpy.parameter import Parameter
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Schema, Setting
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
-from yolov5_lifecycle.settings.value_text import value_text
 
 TYPES = {
     bool: Parameter.Type.BOOL,
@@ -29,15 +28,12 @@ TYPES = {
 }
 
 
-def value_of(parameter: Parameter, setting: Setting | None, *, may_be_unset: bool = False) -> object:
+def value_of(parameter: Parameter, setting: Setting | None) -> object:
     """Value of `parameter` in the type of its `setting` if that is unambiguous, see `Setting.coerced`.
 
-    A list is a tuple, an empty one may be of any type. None without a value: that is `[]` in YAML, for which
-    `may_be_unset`; from a service it means "delete".
+    A list is a tuple, an empty one may be of any type. None without a value.
     """
     value = parameter.value
-    if may_be_unset and value is None and setting is not None and setting.type is tuple:
-        return ()
     meant = tuple(value) if parameter.type_.name.endswith("ARRAY") else value
     coerced = meant if setting is None else setting.coerced(meant)
     return tuple(coerced) if isinstance(coerced, list) else coerced
@@ -73,7 +69,9 @@ def declare(
     on_command_line = _names_on_command_line(arguments)
     for name, given in parameter_overrides(node).items():
         if not name.startswith(ROS_PREFIXES):
-            values[name] = value_of(given, schema.find(name), may_be_unset=True)
+            value, setting = value_of(given, schema.find(name)), schema.find(name)
+            # rcl reads an empty list as a parameter without a value.
+            values[name] = () if value is None and setting is not None and setting.type is tuple else value
             sources[name] = Source.COMMAND_LINE if name in on_command_line else Source.PARAMETER_FILE
     for name, value in values.items():
         if (setting := schema.find(name)) is None:
@@ -85,14 +83,6 @@ def declare(
             declare_unset(node, setting)
             node.set_parameters([parameter_of(setting, value)])
     return values, sources
-
-
-def source_table(values: Mapping[str, object], sources: Mapping[str, Source]) -> str:
-    """Name, value and source of every setting in `values`, one per line."""
-    width = max(map(len, values))
-    return "\n".join(
-        f"  {name:{width}}  {value_text(value):<28}  {sources[name].value}" for name, value in values.items()
-    )
 
 
 def _names_on_command_line(arguments: Sequence[str]) -> set[str]:

@@ -17,7 +17,6 @@ from yolov5_lifecycle.ros.parameters.declaration import (
     declare,
     declare_unset,
     parameter_of,
-    source_table,
     unset_descriptor,
     value_of,
 )
@@ -31,8 +30,6 @@ Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
 
-MAX_REASON_LENGTH = 2000
-"""Max length of the refusal of one change, in characters."""
 _BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
 
 
@@ -75,16 +72,9 @@ class Proposal:
         return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
 
 
-def refusal(problems: Sequence[Problem]) -> SetParametersResult:
-    """Result that rejects a change because of `problems`; the reason is at most MAX_REASON_LENGTH long."""
-    return SetParametersResult(successful=False, reason=_reason(problems))
-
-
-def _reason(problems: Sequence[Problem]) -> str:
-    reason = " ".join(map(str, problems))
-    if len(reason) <= MAX_REASON_LENGTH:
-        return reason
-    return f"{reason[:MAX_REASON_LENGTH]}... ({len(problems)} problems)"
+def refused(*reasons: Problem | str) -> SetParametersResult:
+    """Result that rejects a change for these `reasons`."""
+    return SetParametersResult(successful=False, reason=" ".join(map(str, reasons)))
 
 
 class SettingsParameters:
@@ -218,12 +208,17 @@ class SettingsParameters:
         self._sources |= {parameter.name: Source.RUN_TIME for parameter in parameters}
         if proposal.unsolved:
             remark = "change another parameter, too, or configure is refused: "
-            result.reason = f"{remark}{_reason(proposal.unsolved)}"
+            result.reason = remark + " ".join(map(str, proposal.unsolved))
         return result
 
     def table(self) -> str:
         """Name, value and source of every setting and override, one per line."""
-        return source_table(self._current.values, self._sources)
+        values = self._current.values
+        width = max(map(len, values))
+        return "\n".join(
+            f"  {name:{width}}  {value_text(value):<28}  {self._sources[name].value}"
+            for name, value in values.items()
+        )
 
     def _after(self, wanted: Mapping[str, object]) -> Configuration:
         """The configuration with the settings and overrides in `wanted`, of which None deletes.
