@@ -34,7 +34,9 @@ _DEPTH_TOPICS = (
 )
 _FRAME = "~/detections_3d is in the frame of the depth image: transform it with tf2."
 _OFFERED = "none is needed, because the reliability of depth is that of its publishers."
+_IN_PIXELS = "none is needed, because detections are in pixels; depth has its own, on ~/depth/camera_info."
 _NO_LIMIT = "none is needed, because the surface of an object is found without a limit in metres."
+_ENCODED = "none is needed, because the unit follows from the encoding of the depth image."
 _BOND = "set bond_timeout to enable the bond; heartbeats are sent every 0.1 s."
 _SWITCH = "none is needed, because ~/image is published while it has subscribers."
 NOT_SETTINGS = {
@@ -47,6 +49,7 @@ NOT_SETTINGS = {
     "publish_image": _SWITCH,
     "show_result": _SWITCH,
     "use_debug": _SWITCH,
+    "pub_boxes": "none is needed, because what has no subscriber is not published.",
     "enable": "deactivate and activate the node: ros2 lifecycle set /yolov5 deactivate.",
     "namespace": "it is remapped: -r __ns:=/robot.",
     "input_depth_topic": _DEPTH_TOPICS,
@@ -55,8 +58,16 @@ NOT_SETTINGS = {
     "target_frame": _FRAME,
     "working_frame": _FRAME,
     "maximum_detection_threshold": _NO_LIMIT,
+    "depth_image_units_divisor": _ENCODED,
     "depth_image_reliability": _OFFERED,
     "depth_info_reliability": _OFFERED,
+    "camera_info_topic": _IN_PIXELS,
+    "camera_info_file": _IN_PIXELS,
+    "retina_masks": "none is needed, because masks always have the size of the image.",
+    "yolo_encoding": "none is needed, because each image names its encoding.",
+    "fuse_model": "none is needed, because convolutions and batch normalizations are always fused.",
+    "model_type": "none is needed, because every model is a YOLOv5.",
+    "augment": "images are detected once, without test-time augmentation.",
     "bond_heartbeat_period": _BOND,
 }
 """Parameters of other nodes that this node lacks, with what to do instead."""
