@@ -11,7 +11,7 @@ from pathlib import Path
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
-from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics
+from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics, prepared_for
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.offline.export.exporting import Export, write_files
 from yolov5_lifecycle.offline.export.formats import (
@@ -78,13 +78,15 @@ def _detected(
 ) -> RunStatistics:
     settings = _settings(arguments)
     export = _export(source, arguments)
-    load = functools.partial(
-        OfflineDetector, settings, terminal, with_masks=export.needs_masks, prepare=prepare
-    )
     if is_recording(source):
         from yolov5_lifecycle.offline.detect_recording import write_recording as write  # rosbags is an extra
     else:
         write = write_files
+
+    def load() -> OfflineDetector:
+        prepared = prepared_for(settings, prepare)
+        return OfflineDetector(settings, prepared, terminal, with_masks=export.needs_masks)
+
     with export.whole() as unfinished:
         return write(source, unfinished, load)
 

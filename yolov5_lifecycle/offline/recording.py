@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any
@@ -106,12 +107,13 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True)
 class RecordedMessage:
-    """A recorded message with a header, and its time stamp in the recording."""
+    """A recorded message with a header, its time stamp in the recording, and its number on its topic."""
 
     timestamp_ns: int
     type_name: str
     data: bytes | None
     """None if it is larger than MAX_MESSAGE_BYTES."""
+    number: int = 0
 
     @property
     def label(self) -> str:
@@ -141,13 +143,6 @@ class RecordedMessage:
         seconds, nanoseconds = self.stamp
         return seconds + nanoseconds * 1e-9
 
-
-@dataclass(frozen=True)
-class RecordedImage(RecordedMessage):
-    """A recorded image message, counted from 0 on its topic."""
-
-    number: int = field(default=0, kw_only=True)
-
     @property
     def identity(self) -> dict[str, str | int]:
         """The stamp of its header, which others may have, too, and its number; raises ImageError."""
@@ -161,6 +156,7 @@ class RecordedImage(RecordedMessage):
         return f"{seconds}_{nanoseconds:09}"
 
     def load(self) -> ColourImage:
+        """The pixels of an image message; raises ImageError."""
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
         return decode(self.message)
 
@@ -212,16 +208,9 @@ class Recording:
             raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
         raise RecordingError(f"{self.path}: there is no {what} {name}; choose one of these:{listing}")
 
-    def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
-        """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""
-        messages = enumerate(self._messages(topic))
-        return (RecordedImage(*message, number=number) for number, message in messages)
-
     def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
-        """Like `images` for any topic whose messages have a header."""
-        return (RecordedMessage(*message) for message in self._messages(topic))
-
-    def _messages(self, topic: RecordedTopic) -> Iterator[tuple[int, str, bytes | None]]:
+        """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
+        numbers = itertools.count()
         for storage in self._storages:
             messages = storage.messages(topic.name, topic.type_name)
             while True:
@@ -230,7 +219,7 @@ class Recording:
                         break
                     timestamp_ns, data = found
                     data = data and _unpacked_message(data)
-                yield timestamp_ns, topic.type_name, data
+                yield RecordedMessage(timestamp_ns, topic.type_name, data, next(numbers))
 
     def topics(self, *type_names: str) -> list[RecordedTopic]:
         """Its topics of these types, sorted by name."""

@@ -115,7 +115,7 @@ def _run(arguments: argparse.Namespace, terminal: Terminal) -> str:
     )
     calibrating = Calibrating(weights.model, data.images, selection=selection, tell=terminal.begin)
     quantization = calibrating.quantization()
-    loss = partial(map_loss, data.labelled, weights, settings, listener=terminal, problems=problems)
+    loss = partial(map_loss, data.labelled, weights, settings, observer=terminal, problems=problems)
     worth = calibrating.worth(quantization, loss)
     calibration = Calibration.of(quantization, weights.sha256, settings.image_size)
     write_calibration(path, calibration)

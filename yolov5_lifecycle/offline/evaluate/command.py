@@ -77,7 +77,7 @@ def _evaluated(
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
         data = stack.enter_context(labelled_data(arguments.data, options, reports.problems))
         classes, evaluations = evaluate_models(
-            data, wanted, listener=reports, problems=reports.problems, prepare=prepare
+            data, wanted, observer=reports, problems=reports.problems, prepare=prepare
         )
         terminal.begin("computing the figures")
         result = EvaluationResult(

@@ -17,7 +17,7 @@ from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems, check_count
 from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.detecting import OfflineDetector, ProgressListener, StoredImage, prepared_for
+from yolov5_lifecycle.offline.detecting import OfflineDetector, RunObserver, StoredImage, prepared_for
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
@@ -84,13 +84,11 @@ class Evaluation:
 class _Model:
     """A loaded model and its number among those that are compared."""
 
-    def __init__(self, number: int, settings: Settings, listener: ProgressListener, prepare: Prepare) -> None:
+    def __init__(self, number: int, settings: Settings, observer: RunObserver, prepare: Prepare) -> None:
         self.number = number
         evaluated = settings.model_copy(update=_WHILE_EVALUATING)
         self.prepared = prepared_for(evaluated, prepare)
-        self.offline = OfflineDetector(
-            evaluated, listener, with_masks=False, prepare=lambda *_: self.prepared
-        )
+        self.offline = OfflineDetector(evaluated, self.prepared, observer, with_masks=False)
         self.settings = settings.model_copy(update={"image_size": self.prepared.settings.image_size})
 
     @property
@@ -119,7 +117,7 @@ def evaluate_models(
     data: LabelledData,
     wanted: Sequence[Settings],
     *,
-    listener: ProgressListener,
+    observer: RunObserver,
     problems: Problems,
     prepare: Prepare,
 ) -> tuple[EvaluatedClasses, list[Evaluation]]:
@@ -128,7 +126,7 @@ def evaluate_models(
     An image that one model cannot use is left out for all. Raises DataError and DetectingError if nothing is
     left, and what `OfflineDetector` raises.
     """
-    models = [_Model(number, settings, listener, prepare) for number, settings in enumerate(wanted)]
+    models = [_Model(number, settings, observer, prepare) for number, settings in enumerate(wanted)]
     classes = EvaluatedClasses.shared(
         data.class_names, [(model.offline.class_names, model.wanted) for model in models]
     )

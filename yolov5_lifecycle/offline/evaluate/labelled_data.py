@@ -192,7 +192,7 @@ def _images(
     """The images that have labels, numbered."""
     received = 0
     seen: set[Stamp] = set()
-    for recorded in recording.images(topic):
+    for recorded in recording.messages(topic):
         received += 1
         try:
             stamp = recorded.stamp
