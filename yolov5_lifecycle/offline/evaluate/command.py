@@ -17,12 +17,10 @@ from yolov5_lifecycle.offline.evaluate.arguments import DataOptions, command_par
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
-from yolov5_lifecycle.offline.terminal import Terminal
-from yolov5_lifecycle.process.missing_package import absence_of, import_problem
+from yolov5_lifecycle.offline.terminal import Terminal, exit_code
+from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.process.standard_streams import complain, write_output
-from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.parameter_file import string_assignment
-from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -41,7 +39,8 @@ _USELESS = {
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
     parser = command_parser()
     arguments = parser.parse_args(argv)
-    try:
+
+    def run() -> int:
         if not arguments.data.exists():
             raise FileNotFoundError(f"{arguments.data}: file or folder not found")
         options = DataOptions(**{each.name: getattr(arguments, each.name) for each in fields(DataOptions)})
@@ -49,17 +48,8 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
             parser.error(problem)
         with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
             return write_output(_COMMAND, _evaluated(arguments, options, terminal, prepare))
-    except SettingsError as error:
-        problems = "".join(f"\n  {problem}" for problem in error.problems)
-        complain(_COMMAND, f"{len(error.problems)} problem(s) in the settings:{problems}")
-    except ImportError as error:
-        complain(_COMMAND, import_problem(error))
-    except (ValueError, OSError, DetectingError, InferenceError) as error:
-        complain(_COMMAND, str(error))
-    except KeyboardInterrupt:
-        complain(_COMMAND, "interrupted; unfinished output was removed")
-        return 130
-    return 1
+
+    return exit_code(_COMMAND, run)
 
 
 def _evaluated(
