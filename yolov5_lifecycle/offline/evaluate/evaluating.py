@@ -90,6 +90,7 @@ class _Model:
         self.prepared = prepared_for(evaluated, prepare)
         self.offline = OfflineDetector(evaluated, self.prepared, observer, with_masks=False)
         self.settings = settings.model_copy(update={"image_size": self.prepared.settings.image_size})
+        self._selection = selection(self.settings, self.offline.class_names)
 
     @property
     def wanted(self) -> frozenset[int] | None:
@@ -98,18 +99,16 @@ class _Model:
 
     def thresholds(self, classes: EvaluatedClasses) -> NDArray[np.float64]:
         """The confidence threshold of each of `classes`."""
-        chosen = selection(self.settings, self.offline.class_names)
-        thresholds = np.full(len(classes.names), chosen.confidence_threshold)
-        for class_id, threshold in chosen.class_thresholds:
+        thresholds = np.full(len(classes.names), self._selection.confidence_threshold)
+        for class_id, threshold in self._selection.class_thresholds:
             if (index := classes.of_models[self.number][class_id]) >= 0:
                 thresholds[index] = threshold
         return thresholds
 
     def time_ms(self, image: ColourImage) -> float:
         """How long it takes to detect in `image` with the thresholds that are set; raises InferenceError."""
-        chosen = selection(self.settings, self.offline.class_names)
         begun_s = time.perf_counter()
-        self.prepared.detector.detect(image, chosen)
+        self.prepared.detector.detect(image, self._selection)
         return (time.perf_counter() - begun_s) * 1e3
 
 
