@@ -24,10 +24,10 @@ from yolov5_lifecycle.offline.export.exporting import Export, export_images
 from yolov5_lifecycle.offline.recording import (
     TYPES,
     RecordedMessage,
-    RecordedTopic,
     RecordingError,
     open_recording,
 )
+from yolov5_lifecycle.offline.stored_messages import StoredTopic
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 from yolov5_lifecycle.process.standard_streams import complain
@@ -81,7 +81,7 @@ def os_errors(output: Path | None) -> Iterator[None]:
 
 
 def _not_empty(
-    source: Path, topic: RecordedTopic, images: Iterator[RecordedMessage]
+    source: Path, topic: StoredTopic, images: Iterator[RecordedMessage]
 ) -> Iterator[RecordedMessage]:
     """`images`, at least one; raises RecordingError if the topic was announced but has no messages."""
     first = next(images, None)

@@ -161,15 +161,6 @@ class RecordedMessage:
         return decode(self.message)
 
 
-@dataclass(frozen=True)
-class RecordedTopic:
-    """A topic and its number of messages, as the recording claims; a damaged one may have fewer."""
-
-    name: str
-    type_name: str
-    count: int
-
-
 class Recording:
     """An open recording; see `open_recording`."""
 
@@ -183,7 +174,7 @@ class Recording:
         """The storage format of its files."""
         return StoragePlugin.MCAP if is_mcap(self.path) else StoragePlugin.SQLITE3
 
-    def image_topic(self, name: str | None = None) -> RecordedTopic:
+    def image_topic(self, name: str | None = None) -> StoredTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
         if not (topics := self.topics(_RAW, _COMPRESSED)):
             others = in_one_line(", ".join(sorted({topic.name for topic in self._stored()})) or "nothing")
@@ -194,8 +185,8 @@ class Recording:
         return self.one_of(topics, name, what="image topic", option="--topic")
 
     def one_of(
-        self, topics: Sequence[RecordedTopic], name: str | None, *, what: str, option: str
-    ) -> RecordedTopic:
+        self, topics: Sequence[StoredTopic], name: str | None, *, what: str, option: str
+    ) -> StoredTopic:
         """The topic `name`, or the only one; raises RecordingError, which names the `option` to choose."""
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
@@ -208,7 +199,7 @@ class Recording:
             raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
         raise RecordingError(f"{self.path}: there is no {what} {name}; choose one of these:{listing}")
 
-    def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
+    def messages(self, topic: StoredTopic) -> Iterator[RecordedMessage]:
         """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
         numbers = itertools.count()
         for storage in self._storages:
@@ -221,14 +212,14 @@ class Recording:
                     data = data and _unpacked_message(data)
                 yield RecordedMessage(timestamp_ns, topic.type_name, data, next(numbers))
 
-    def topics(self, *type_names: str) -> list[RecordedTopic]:
+    def topics(self, *type_names: str) -> list[StoredTopic]:
         """Its topics of these types, sorted by name."""
         counts: Counter[tuple[str, str]] = Counter()
         for topic in self._stored():
             if topic.type_name in type_names and topic.encoding == CDR:
                 counts[topic.name, topic.type_name] += topic.count
         return [
-            RecordedTopic(name, type_name, min(max(count, self._claimed.get(name, 0)), _MAX_CLAIMED))
+            StoredTopic(name, type_name, CDR, min(max(count, self._claimed.get(name, 0)), _MAX_CLAIMED))
             for (name, type_name), count in sorted(counts.items())
         ]
 
