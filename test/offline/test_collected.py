@@ -336,6 +336,7 @@ def test_nothing_is_removed_while_a_detector_collects(
         (["remove", "."], "remove needs --session or --reason"),
         (["split", ".", "--share", "1"], "between 0 and 1"),
         (["sheet", ".", "--output", "x", "--most", "0"], "from 1 to 10000"),
+        (["sheet", ".", "--output", "x", "--most", "all"], "expected a number of images from 1 to 10000"),
         ([], "ACTION"),
     ],
 )

@@ -21,12 +21,7 @@ from yolov5_lifecycle.detection.detections import FoundObject
 from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
 from yolov5_lifecycle.offline.export.exporting import Export, export_images
-from yolov5_lifecycle.offline.recording import (
-    TYPES,
-    RecordedMessage,
-    RecordingError,
-    open_recording,
-)
+from yolov5_lifecycle.offline.recording import TYPES, RecordedMessage, RecordingError, open_recording
 from yolov5_lifecycle.offline.stored_messages import StoredTopic
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8

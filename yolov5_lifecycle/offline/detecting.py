@@ -105,7 +105,7 @@ def prepared_for(settings: Settings, prepare: Prepare) -> PreparedModel:
 
 
 class OfflineDetector:
-    """Applies `settings` to every image that it detects in with the model `prepared` for them.
+    """Detector with the model `prepared` for `settings`, which apply to every image.
 
     With the setting `tracker`, images that have a time are tracked, as the images of one camera.
     `with_masks`: whether the detections of a segmentation model have masks; computing them takes time.
