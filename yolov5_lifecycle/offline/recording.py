@@ -23,7 +23,7 @@ from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.input_file import read_regular_file
-from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_mcap
+from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG
 from yolov5_lifecycle.offline.stored_messages import (
     CDR,
     MAX_MESSAGE_BYTES,
@@ -172,7 +172,8 @@ class Recording:
     @property
     def storage(self) -> StoragePlugin:
         """The storage format of its files."""
-        return StoragePlugin.MCAP if is_mcap(self.path) else StoragePlugin.SQLITE3
+        is_mcap = any(isinstance(storage, McapFile) for storage in self._storages)
+        return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
     def image_topic(self, name: str | None = None) -> StoredTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
