@@ -356,7 +356,7 @@ def test_damaged_messages_are_rejected_one_by_one(type_name: str) -> None:
         damaged[generator.integers(0, len(data), 8)] = generator.integers(0, 256, 8)
         cut = damaged[: generator.integers(0, len(data))].tobytes()
         with pytest.raises(ImageError):
-            RecordedMessage(0, type_name, cut).load()
+            RecordedMessage(0, type_name, cut, 0).load()
 
 
 @pytest.fixture
@@ -395,6 +395,12 @@ def test_a_source_is_read_from_any_path(source: str, sqlite_drive: Path) -> None
         (drive / "drive.db3").rename(source)
     assert run([source, "--output", "found", *SET_MODEL]) == 0
     assert messages(Path("found"))
+
+
+def test_the_storage_is_that_of_the_files_that_are_read(sqlite_drive: Path) -> None:
+    (sqlite_drive / "stray.mcap").touch()
+    with open_recording(sqlite_drive) as recording:
+        assert recording.storage is SQLITE
 
 
 def test_a_recording_cannot_name_a_database_outside_of_its_folder(sqlite_drive: Path) -> None:

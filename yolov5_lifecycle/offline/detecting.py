@@ -94,22 +94,24 @@ class RunObserver(Protocol):
 def prepared_for(settings: Settings, prepare: Prepare) -> PreparedModel:
     """The model that `prepare` loads; one of a fixed image size with that, unless `settings` set another.
 
-    Raises what `prepare` raises.
+    Raises what `prepare` raises, and SettingsError for classes unknown to the model.
     """
     try:
-        return prepare(settings, (USUAL_SOURCE_HW,))
+        prepared = prepare(settings, (USUAL_SOURCE_HW,))
     except FixedSizeError as error:
         if "image_size" in settings.model_fields_set:
             raise
-        return prepare(settings.model_copy(update={"image_size": error.image_size}), (USUAL_SOURCE_HW,))
+        prepared = prepare(settings.model_copy(update={"image_size": error.image_size}), (USUAL_SOURCE_HW,))
+    if problems := model_problems(settings, prepared.detector.class_names):
+        raise SettingsError(problems)
+    return prepared
 
 
 class OfflineDetector:
-    """Detector with the model `prepared` for `settings`, which apply to every image.
+    """Detector with the model of `prepared_for`, and `settings` that apply to every image.
 
     With the setting `tracker`, images that have a time are tracked, as the images of one camera.
     `with_masks`: whether the detections of a segmentation model have masks; computing them takes time.
-    Raises SettingsError for a class unknown to the model.
     """
 
     def __init__(
@@ -119,8 +121,6 @@ class OfflineDetector:
         self._observer = observer
         self._detector = prepared.detector
         self.class_names = self._detector.class_names
-        if problems := model_problems(settings, self.class_names):
-            raise SettingsError(problems)
         self._selection = replace(selection(settings, self.class_names), with_masks=with_masks)
         self._stamps = StampCounts()
         self._tracking = TrackedDetection.started(settings, itertools.count(1), self._stamps)

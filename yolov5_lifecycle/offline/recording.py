@@ -113,7 +113,7 @@ class RecordedMessage:
     type_name: str
     data: bytes | None
     """None if it is larger than MAX_MESSAGE_BYTES."""
-    number: int = 0
+    number: int
 
     @property
     def label(self) -> str:

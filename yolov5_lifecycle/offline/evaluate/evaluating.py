@@ -86,8 +86,8 @@ class _Model:
 
     def __init__(self, number: int, settings: Settings, observer: RunObserver, prepare: Prepare) -> None:
         self.number = number
+        self.prepared = prepared_for(settings, prepare)
         evaluated = settings.model_copy(update=_WHILE_EVALUATING)
-        self.prepared = prepared_for(evaluated, prepare)
         self.offline = OfflineDetector(evaluated, self.prepared, observer, with_masks=False)
         self.settings = settings.model_copy(update={"image_size": self.prepared.settings.image_size})
         self._selection = selection(self.settings, self.offline.class_names)
@@ -123,7 +123,7 @@ def evaluate_models(
     """Load a model for each of the `wanted` settings and let it detect in all images of `data`.
 
     An image that one model cannot use is left out for all. Raises DataError and DetectingError if nothing is
-    left, and what `OfflineDetector` raises.
+    left, and what `prepared_for` raises.
     """
     models = [_Model(number, settings, observer, prepare) for number, settings in enumerate(wanted)]
     classes = EvaluatedClasses.shared(

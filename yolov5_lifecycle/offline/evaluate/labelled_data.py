@@ -144,10 +144,10 @@ def _labels(
     labels: dict[Stamp, Labels] = {}
     seen: Counter[Stamp] = Counter()
     objects = 0
-    for number, recorded in enumerate(recording.messages(topic)):
-        check_count(recording.path, f"messages on {topic.name[:200]}", number + 1, MAX_IMAGES)
-        if number % PROGRESS_PERIOD == 0:
-            problems.progress(f"labels: {number} messages")
+    for recorded in recording.messages(topic):
+        check_count(recording.path, f"messages on {topic.name[:200]}", recorded.number + 1, MAX_IMAGES)
+        if recorded.number % PROGRESS_PERIOD == 0:
+            problems.progress(f"labels: {recorded.number} messages")
         try:
             stamp = recorded.stamp
             seen[stamp] += 1
