@@ -106,12 +106,28 @@ def test_names_of_any_kind_become_text_at_their_index(tmp_path: Path) -> None:
     assert read_safetensors((tmp_path / "again.safetensors").read_bytes()).class_names == model.class_names
 
 
+def synchronize(model: Any) -> None:
+    """As a training with --sync-bn leaves it."""
+    for module in modules_of(model):
+        if type(module) is torch.nn.BatchNorm2d:
+            module.__class__ = torch.nn.SyncBatchNorm  # type: ignore[assignment]  # with the same attributes
+            vars(module).update(process_group=None, ddp_gpu_size=None)
+
+
+def count_by_thop(model: Any) -> None:
+    for module in modules_of(model):
+        for name in ("total_ops", "total_params"):
+            vars(module)["_buffers"][name] = torch.zeros(1, dtype=torch.float64)
+
+
 @pytest.mark.parametrize(
     "change",
     [
         pytest.param(lambda model: setattr(layers_of(model)["0"], "training", True), id="training mode"),
         pytest.param(lambda model: vars(layers_of(model)["6"]).update(f=[-1, -4]), id="wiring counted back"),
         pytest.param(lambda model: vars(head(model)).update(inplace=False), id="head not in place"),
+        pytest.param(synchronize, id="synchronized normalisation"),
+        pytest.param(count_by_thop, id="counted by thop"),
     ],
 )
 def test_what_leaves_the_result_alone_is_accepted(change: Callable[[Any], object]) -> None:
@@ -120,31 +136,18 @@ def test_what_leaves_the_result_alone_is_accepted(change: Callable[[Any], object
     assert_same(read_checkpoint(saved(stripped(model))), read())
 
 
-def synchronized(model: Any) -> Any:
-    """`model` as a training with --sync-bn leaves it."""
-    for module in vars(model)["_modules"].values():
-        synchronized(module)
-        if type(module) is torch.nn.BatchNorm2d:
-            module.__class__ = torch.nn.SyncBatchNorm  # type: ignore[assignment]  # with the same attributes
-            vars(module).update(process_group=None, ddp_gpu_size=None)
-    return model
+def test_synchronized_normalisation_that_computes_something_else_is_refused() -> None:
+    model = official_model()
+    synchronize(model)
+    vars(layers_of(model)["0"])["_modules"]["bn"].track_running_stats = False
+    with pytest.raises(WeightsError, match="track_running_stats is False"):
+        read_checkpoint(saved(stripped(model)))
 
 
 def assert_same(found: Model, expected: Model) -> None:
     assert (found.architecture, found.class_names) == (expected.architecture, expected.class_names)
     assert found.state_dict.keys() == expected.state_dict.keys()
     assert all(torch.equal(found.state_dict[key], each) for key, each in expected.state_dict.items())
-
-
-def test_a_model_trained_with_synchronized_normalisation_is_the_same() -> None:
-    assert_same(read_checkpoint(saved(stripped(synchronized(official_model())))), read())
-
-
-def test_synchronized_normalisation_that_computes_something_else_is_refused() -> None:
-    model = synchronized(official_model())
-    vars(layers_of(model)["0"])["_modules"]["bn"].track_running_stats = False
-    with pytest.raises(WeightsError, match="track_running_stats is False"):
-        read_checkpoint(saved(stripped(model)))
 
 
 @pytest.mark.long
@@ -262,18 +265,6 @@ def test_a_storage_of_several_tensors_is_read_once(
     records = [name for (_, name, *_), _ in record.call_args_list]
     assert len(records) == len(set(records)) > 0
     assert all(torch.equal(found[key], tensor) for key, tensor in expected.items())
-
-
-def counted_by_thop(model: Any) -> None:
-    for module in modules_of(model):
-        for name in ("total_ops", "total_params"):
-            vars(module)["_buffers"][name] = torch.zeros(1, dtype=torch.float64)
-
-
-def test_what_thop_counted_is_not_read() -> None:
-    model = official_model()
-    counted_by_thop(model)
-    assert read_checkpoint(saved(stripped(model))).state_dict.keys() == read().state_dict.keys()
 
 
 def first_convolution(model: Any) -> torch.nn.Conv2d:

@@ -141,14 +141,6 @@ def test_of_overlapping_shapes_the_later_one_is_visible() -> None:
 
 
 @pytest.mark.parametrize("class_name", CLASS_NAMES)
-def test_a_shape_has_the_area_of_its_outline(class_name: str) -> None:
-    shape = shape_of(class_name, (200.2, 200.7), radius=180.0)
-    x, y = shape.outline().T
-    area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
-    assert labels_of(shape, size_hw=(400, 400)).sum() == pytest.approx(area, rel=0.005)
-
-
-@pytest.mark.parametrize("class_name", CLASS_NAMES)
 def test_a_shape_is_drawn_where_its_pixels_are(class_name: str) -> None:
     shape = shape_of(class_name, (50.25, 47.5), radius=30.0)
     pixels = np.zeros((100, 100, 3), np.uint8)

@@ -98,9 +98,8 @@ def test_outside_the_image_there_is_no_measurement(row: int, column: int) -> Non
     assert np.isnan(depth.metres_at(np.array([row]), np.array([column]))).all()
 
 
-@pytest.mark.parametrize("make", [bytes, bytearray, memoryview, lambda data: array("B", data)])
-def test_the_image_is_a_read_only_view_of_any_buffer(make: Any) -> None:
-    data = make(b"\x01\x02" * 6)
+def test_the_image_is_a_read_only_view_of_the_message() -> None:
+    data = array("B", b"\x01\x02" * 6)
     depth = decoded(data)
     assert np.shares_memory(depth.values, np.frombuffer(data, np.uint8))
     assert not depth.values.flags.writeable
@@ -132,11 +131,8 @@ K = [500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0]
 P = [400.0, 0.0, 310.0, -20.0, 0.0, 410.0, 230.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 
 
-def test_p_counts_where_it_is_filled_in() -> None:
+def test_p_counts_where_it_is_filled_in_and_else_k() -> None:
     assert intrinsics_of(K, P, SIZE_HW) == Intrinsics(400.0, 410.0, 310.0, 230.0, SIZE_HW)
-
-
-def test_k_counts_where_p_is_empty() -> None:
     assert intrinsics_of(K, [0.0] * 12, SIZE_HW) == Intrinsics(500.0, 510.0, 320.0, 240.0, SIZE_HW)
 
 

@@ -49,7 +49,6 @@ TWO = {1: 0.0, 2: 100.0}
     ("frames", "idf1", "hota", "switches"),
     [
         pytest.param([], 1.0, 1.0, 0, id="nothing"),
-        pytest.param([({}, {})] * 3, 1.0, 1.0, 0, id="no objects"),
         pytest.param([(TWO, {"a": 0.0, "b": 100.0})] * 4, 1.0, 1.0, 0, id="perfect"),
         pytest.param([(ONE, {})] * 4, 0.0, 0.0, 0, id="all missed"),
         pytest.param([({}, {"a": 0.0})] * 4, 0.0, 0.0, 0, id="all false"),
@@ -66,7 +65,6 @@ TWO = {1: 0.0, 2: 100.0}
             id="ids exchanged",
         ),
         pytest.param([(ONE, {"a": 0.0}), (ONE, {})], 2 / 3, 0.5, 0, id="half missed"),
-        pytest.param([(ONE, {"a": 0.0}), ({}, {"a": 0.0})], 2 / 3, 0.5, 0, id="stays too long"),
         pytest.param(
             [(ONE, {"a": 0.0}), (ONE, {}), (ONE, {"b": 0.0})], 0.4, math.sqrt(2 / 9), 1, id="another id later"
         ),
