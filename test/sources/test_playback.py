@@ -95,6 +95,12 @@ def test_nothing_is_shown_before_it_is_awaited() -> None:
     assert shown.is_set()
 
 
+def test_playback_that_nobody_awaits_can_be_stopped() -> None:
+    source = ImageSource(map(frame, range(1)), 1000.0)
+    with playback(lambda: source, is_awaited=lambda: False) as playing:
+        assert not playing.is_finished
+
+
 def test_a_source_that_hangs_is_abandoned() -> None:
     is_repaired = threading.Event()
 
