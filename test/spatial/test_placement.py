@@ -134,13 +134,6 @@ def test_a_board_has_the_centre_and_size_of_the_pinhole_camera() -> None:
     assert box.distance_m == pytest.approx(math.hypot(20 / 135, 10 / 135, 2.0))
 
 
-def test_an_object_that_fills_the_image_has_a_distance() -> None:
-    box = np.array([[0, 0, 320, 240]], np.float32)
-    (found,) = place(box, SIZE_HW, in_metres(np.full(SIZE_HW, 1.5, np.float32)), CAMERA)
-    assert isinstance(found, Box3D)
-    assert found.centre_xyz_m == pytest.approx((0, 0, 1.5), abs=1e-6)
-
-
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0])
 def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_it(value: float) -> None:
     depth_m = board_before_wall(board_m=value)
@@ -153,6 +146,7 @@ def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_i
     [
         pytest.param((50, 50, 52, 51), id="two pixels"),
         pytest.param((-100, -100, 400, 400), id="beyond every edge"),
+        pytest.param((0, 0, 320, 240), id="the image"),
     ],
 )
 def test_an_unusual_box_has_the_distance_of_a_wall(box: tuple[float, ...]) -> None:
