@@ -68,10 +68,8 @@ def test_another_word_is_no_device(word: str) -> None:
         ("auto", "cpu", torch.float32),
         ("auto", "cuda:1", torch.float16),
         ("auto", "mps", torch.float32),
-        ("fp32", "cpu", torch.float32),
         ("fp32", "cuda", torch.float32),
         ("fp16", "cuda", torch.float16),
-        ("fp16", "mps", torch.float16),
     ],
 )
 def test_precision_is_resolved_for_the_device(precision: str, device: str, dtype: torch.dtype) -> None:
