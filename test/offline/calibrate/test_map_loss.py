@@ -108,12 +108,13 @@ def test_the_labels_are_those_of_the_chosen_images(data: Path) -> None:
     ("name", "options", "useless"),
     [
         pytest.param("images/val", DataOptions(split="val"), "split", id="images"),
-        pytest.param(".", DataOptions(topic="/image"), "topic", id="YOLO"),
+        pytest.param("truth.json", DataOptions(split="val"), "split", id="COCO"),
     ],
 )
 def test_an_option_that_does_not_apply_is_refused(
     name: str, options: DataOptions, useless: str, copy: Path
 ) -> None:
+    as_coco(copy)
     with pytest.raises(DataError, match=f"--{useless} does not apply to"):
         read(copy / name, options=options)
 
