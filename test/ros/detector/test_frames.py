@@ -40,20 +40,6 @@ def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNod
     assert counts.pop("received") == sum(counts.values())
 
 
-def test_an_image_with_a_long_frame_id_is_rejected_before_it_is_detected(
-    served: ServedNode, prepare: Preparations
-) -> None:
-    served.bring_to("active")
-    long = image()
-    long.header.frame_id = "x" * 1_000_000
-    served.publish(long)
-    reason = "Expected a frame_id of at most 256 characters, found 1000000. Correct it in the driver"
-    served.wait_for(lambda: reason in served.status().message, "the rejection")
-    assert served.counts()["rejected"] == 1
-    assert not served.detections
-    assert not prepare.running.calls
-
-
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(
     served: ServedNode, prepare: Preparations
 ) -> None:
@@ -87,15 +73,6 @@ def test_a_rate_limit_skips_and_counts_the_frames_between(served: ServedNode) ->
     served.send_until(lambda: served.counts()["skipped"] > 0, "an image that comes too early")
     counts = served.counts()
     assert counts["received"] == sum(counts.values()) - counts["received"]
-
-
-def test_labels_are_latched_with_the_current_threshold(served: ServedNode) -> None:
-    served.bring_to("active")
-    info = served.label_info()
-    assert [(label.class_id, label.class_name) for label in info.class_map] == [(0, "cat"), (1, "dog")]
-    assert info.threshold == pytest.approx(0.25)
-    served.set(confidence_threshold=0.5)
-    assert served.label_info().threshold == pytest.approx(0.5)
 
 
 def test_without_subscribers_a_lazy_node_does_not_subscribe(served: ServedNode) -> None:
