@@ -89,7 +89,7 @@ def test_without_subscribers_a_lazy_node_does_not_subscribe(served: ServedNode) 
     served.wait_for(lambda: served.image_subscriptions() == 1, "the node to subscribe")
 
 
-def test_the_subscription_takes_the_reliability_that_the_cameras_offer_unless_another_is_set(
+def test_the_subscription_takes_the_reliability_that_all_cameras_offer_unless_another_is_set(
     prepare: Preparations,
 ) -> None:
     arguments = ["--ros-args", "-r", "~/image_raw:=/front/image"]
