@@ -185,10 +185,11 @@ def test_settings_changed_while_loading_are_the_ones_that_run(
 def test_activate_refuses_a_class_that_the_model_does_not_have(
     served: ServedNode, prepare: Preparations
 ) -> None:
-    assert served.set(classes=["dgo"]) == (True, "")
+    assert served.set(classes=["dgo"], class_thresholds=["cow: 0.5"]) == (True, "")
     served.bring_to("inactive")
     assert not served.transition("activate")
-    assert "Did you mean 'dog'?" in served.status().message
+    for problem in ("classes: 'dgo' is not a class of the model", "class_thresholds: 'cow' is not"):
+        assert problem in served.status().message
     assert served.state() == "inactive"
     assert prepare.running.is_closed
 
