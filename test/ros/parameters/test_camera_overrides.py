@@ -176,13 +176,15 @@ def dump(served: ServedNode) -> dict[str, Any]:
     return {"/yolov5": {"ros__parameters": tree}}
 
 
-def test_a_node_started_with_a_dump_has_the_same_configuration(
-    served: ServedNode, prepare: Preparations, tmp_path: Path
-) -> None:
-    assert served.set(**{"front.max_rate": 5.0, "front.classes": [], "rear.classes": ["dog"]}) == (True, "")
+def test_a_node_started_with_a_dump_has_the_same_configuration(prepare: Preparations, tmp_path: Path) -> None:
+    """Once the first has ended: a request would be answered by both nodes of this name."""
     file = tmp_path / "dump.yaml"
-    file.write_text(yaml.safe_dump(dump(served)))
+    changes = {"front.max_rate": 5.0, "front.classes": [], "rear.classes": ["dog"]}
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]"]) as served:
+        assert served.set(**changes) == (True, "")
+        dumped, settings = dump(served), settings_of(served)
+    file.write_text(yaml.safe_dump(dumped))
     with ServedNode(prepare, arguments=["--ros-args", "--params-file", str(file)]) as restarted:
-        assert settings_of(restarted) == settings_of(served)
-        assert dump(restarted) == dump(served)
+        assert settings_of(restarted) == settings
+        assert dump(restarted) == dumped
         assert restarted.transition("configure")
