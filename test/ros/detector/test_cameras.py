@@ -100,6 +100,9 @@ def test_a_camera_that_sends_garbage_is_told_apart_from_the_others(
     assert of_node.message.startswith("front: images are rejected")
     assert "'nonsense' is not supported" in front.values()["last problem"]
     served.wait_for_log("image of camera front rejected: ")
+    served.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
+    counts = front.counts()
+    assert counts["rejected"] == counts["received"] > 0
 
 
 def test_failures_of_one_camera_end_the_detection_only_once_the_other_fails_as_well(

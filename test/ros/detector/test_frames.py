@@ -29,17 +29,6 @@ def test_detections_carry_the_header_of_their_image(served: ServedNode) -> None:
     assert (array.detections[0].bbox.size_x, array.detections[0].bbox.size_y) == pytest.approx((2, 1))
 
 
-def test_a_rejected_image_is_counted_and_the_next_one_detected(served: ServedNode) -> None:
-    served.bring_to("active")
-    served.publish(image(encoding="nonsense"))
-    served.wait_for(lambda: "'nonsense' is not supported" in served.status().message, "the rejection")
-    assert served.counts()["rejected"] == 1
-    assert class_ids_of(served.detect()) == ["cat"]
-    served.wait_for(lambda: served.counts()["pending"] == 0, "the last frame")
-    counts = served.counts()
-    assert counts.pop("received") == sum(counts.values())
-
-
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(
     served: ServedNode, prepare: Preparations
 ) -> None:
