@@ -47,8 +47,8 @@ def test_every_other_transition_is_refused_changes_nothing_and_does_not_flood_th
     begun_s = time.monotonic()
     for transition_id in sorted({*range(100), 255} - {*legal.values()}):
         assert not served.transition("", transition_id)
-    for label in {"configure", "activate", "deactivate", "cleanup", "destroy", "nonsense"} - legal.keys():
-        assert not served.transition(label, transition_id=7)
+    for label in ("configure", "activate", "deactivate", "cleanup", "destroy", "nonsense"):
+        assert label in legal or not served.transition(label, transition_id=7)
     most = time.monotonic() - begun_s + 1
     assert served.state() == state
     assert 1 <= sum(f"refused in state {state}" in said for said in served.log) <= most
