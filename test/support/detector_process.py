@@ -118,18 +118,6 @@ class DetectorProcess:
         self.observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
         return self._images
 
-    def wait_until_rejected(self, count: int, reason: str = "") -> dict[str, str]:
-        """Wait until the node has rejected `count` images and tells the `reason`; its status then."""
-        statuses: list[dict[str, str]] = []
-
-        def are_rejected() -> bool:
-            statuses.append(self.status())
-            is_told = reason in statuses[-1]["message"]  # a moment after the image was counted
-            return is_told and int(statuses[-1]["frames rejected"]) >= count
-
-        self.observer.wait_for(are_rejected, f"{count} rejected images")
-        return statuses[-1]
-
     def detect(self, image: Image) -> Detection2DArray:
         """What the node finds in `image`, sent until it is answered."""
 
