@@ -47,7 +47,7 @@ SCENE = Scene(SEED, (240, 320))
 MAX_PENDING = 2
 """Frames under way: one waits, one is in work."""
 _ANSWER_S = 2.0
-_STEPS = {
+STEPS = {
     ("unconfigured", "inactive"): "configure",
     ("unconfigured", "active"): "configure",
     ("inactive", "unconfigured"): "cleanup",
@@ -82,7 +82,7 @@ class DetectorProcess:
     def bring_to(self, state: str) -> None:
         """Walk there one transition at a time."""
         while (now := self.node.state()) != state:
-            step = _STEPS[now, state]
+            step = STEPS[now, state]
             assert self.transition(step), f"{step} was refused:\n{self.process.output}"
 
     def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
