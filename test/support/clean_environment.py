@@ -44,7 +44,7 @@ def build_environment(folder: Path, wheels: Sequence[Path], extras: tuple[str, .
 
 
 def closure(lines: Iterable[str], extras: Iterable[str] = ()) -> set[str]:
-    """The names of all packages that lines with these `extras` require, as the running environment has them."""
+    """The names of all packages that `lines` with these `extras` require, in the running environment."""
     found: set[tuple[str, frozenset[str]]] = set()
     waiting = [(line, frozenset(extras)) for line in lines]
     while waiting:

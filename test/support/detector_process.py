@@ -6,13 +6,11 @@ import os
 import sys
 import textwrap
 import time
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -28,8 +26,6 @@ from vision_msgs.msg import Detection2DArray
 
 from support.sighting import Sighting
 from support.worker import worker_domain
-from yolov5_lifecycle.images.encodings import encoded
-from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated
 from yolov5_lifecycle.ros.messages import image_message, stamp_ns
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
@@ -202,17 +198,11 @@ def parameter_file(folder: Path, text: str) -> list[str]:
     return ["--params-file", str(path)]
 
 
-def scene_image(index: int = 0, *, encoding: str = "rgb8", padding: int = 0, scene: Scene = SCENE) -> Image:
-    """ColourImage number `index` of the scene, stamped now; every row is followed by `padding` bytes."""
-    pixels = encoded(ColourImage(scene.frame(index)[0], "rgb"), encoding)
+def scene_image(index: int = 0) -> Image:
+    """Image number `index` of the scene, stamped now."""
     seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
     header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id="lens")
-    message = image_message(pixels, encoding, header)
-    rows = pixels.reshape(pixels.shape[0], -1)
-    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=255)
-    message.step = padded.shape[1]
-    message.data = array("B", padded.tobytes())
-    return message
+    return image_message(SCENE.frame(index)[0], "rgb8", header)
 
 
 def is_balanced(status: Mapping[str, str]) -> bool:
