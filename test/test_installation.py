@@ -73,11 +73,8 @@ def test_a_path_in_which_the_messages_can_be_built_is_taken() -> None:
     ("path", "named"),
     [
         pytest.param("/home/user/a,b", "','", id="comma"),
-        pytest.param("/home/zoé/robot", r"'\xe9'", id="accent"),
         pytest.param("/home/\u0131\u015f\u0131k/robot", r"'\u0131\u015f'", id="Turkish"),
-        pytest.param("/home/o'hara", '"\'"', id="apostrophe"),
         pytest.param("/tmp/a\nb", r"'\n'", id="newline"),
-        pytest.param("/tmp/a\udcff", r"'\udcff'", id="no UTF-8"),
     ],
 )
 def test_a_path_in_which_the_messages_cannot_be_built_is_refused_with_the_remedy(
@@ -125,8 +122,6 @@ def test_make_refuses_a_path_before_it_installs_anything(clone: Path) -> None:
         *(
             pytest.param([f"VENV={folder}"], "expected a folder here whose name begins with .venv-", id=name)
             for folder, name in (
-                ("venv", "another name"),
-                ("..", "parent"),
                 (".venvs", "longer"),
                 (".venv-3.12/bin", "below"),
                 (".venv-a .venv-b", "two"),

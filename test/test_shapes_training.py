@@ -82,21 +82,21 @@ def test_degrading_does_not_change_its_input() -> None:
     assert sum(not np.array_equal(image, pixels) for image in spoilt) > 20
 
 
-def test_the_ciou_of_a_box_with_itself_is_one() -> None:
-    boxes = torch.tensor([[5.0, 6.0, 3.0, 2.0], [0.1, -0.4, 9.0, 0.5]])
-    torch.testing.assert_close(ciou(boxes, boxes), torch.ones(2))
+ASPECT = 4 / math.pi**2 * (math.atan(2) - math.atan(0.5)) ** 2
 
 
-def test_the_ciou_of_boxes_of_one_shape_is_the_iou_less_the_distance_of_centres() -> None:
-    boxes, others = torch.tensor([[1.0, 1.0, 2.0, 2.0]]), torch.tensor([[2.0, 1.0, 2.0, 2.0]])
-    torch.testing.assert_close(ciou(boxes, others), torch.tensor([1 / 3 - 1 / (3**2 + 2**2)]))
-
-
-def test_the_ciou_of_concentric_boxes_counts_the_difference_of_aspect() -> None:
-    boxes, others = torch.tensor([[0.0, 0.0, 2.0, 1.0]]), torch.tensor([[0.0, 0.0, 1.0, 2.0]])
-    aspect = 4 / math.pi**2 * (math.atan(2) - math.atan(0.5)) ** 2
-    expected = 1 / 3 - aspect**2 / (1 - 1 / 3 + aspect)
-    torch.testing.assert_close(ciou(boxes, others), torch.tensor([expected]))
+@pytest.mark.parametrize(
+    ("box", "other", "expected"),
+    [
+        pytest.param((0.1, -0.4, 9.0, 0.5), (0.1, -0.4, 9.0, 0.5), 1, id="the same"),
+        pytest.param((1, 1, 2, 2), (2, 1, 2, 2), 1 / 3 - 1 / (3**2 + 2**2), id="distance of centres"),
+        pytest.param((0, 0, 2, 1), (0, 0, 1, 2), 1 / 3 - ASPECT**2 / (1 - 1 / 3 + ASPECT), id="aspect"),
+    ],
+)
+def test_the_ciou_is_the_iou_less_the_distance_of_centres_and_the_difference_of_aspect(
+    box: tuple[float, ...], other: tuple[float, ...], expected: float
+) -> None:
+    assert ciou(torch.tensor([box]).float(), torch.tensor([other]).float()).item() == pytest.approx(expected)
 
 
 def test_every_match_is_in_the_grid_and_within_reach_of_its_cell_and_anchor() -> None:
