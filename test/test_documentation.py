@@ -18,11 +18,10 @@ from support.pages import (
     MIGRATION,
     PAGES,
     README,
+    TOPICS,
     blocks,
     spans,
     table,
-    topics_of_examples,
-    topics_of_readme,
     typed,
 )
 from support.preparations import Preparations
@@ -94,7 +93,7 @@ def unknown_names(page: Path) -> Iterator[str]:
     given = set(re.findall(r"-p (\w+):=", text)) - CameraSettings.model_fields.keys()
     yield from sorted(f"parameter {name}" for name in given if name not in SETTINGS_BY_NAME)
     remapped = {name.replace("/yolov5/", "~/") for name in re.findall(r"-r '?([~\w/]+):=", text)}
-    yield from sorted(remapped - topics_of_examples() - {"image_raw", "__node", "__ns"})
+    yield from sorted(remapped - TOPICS - {"image_raw", "__node", "__ns"})
 
 
 def broken_examples(page: Path) -> Iterator[str]:
@@ -149,4 +148,4 @@ def test_a_name_that_replaces_that_of_another_node_exists() -> None:
     nodes = re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE)
     cells = [row[1] for node in nodes for row in table(MIGRATION, node)]
     named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
-    assert named <= {setting.name for setting in SETTINGS} | topics_of_readme() | {"yolov5"}
+    assert named <= {setting.name for setting in SETTINGS} | TOPICS | {"yolov5"}
