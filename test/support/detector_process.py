@@ -128,10 +128,6 @@ class DetectorProcess:
 
     def detect(self, image: Image) -> Detection2DArray:
         """What the node finds in `image`, sent until it is answered."""
-
-        def answers() -> list[Detection2DArray]:
-            return [message for message in self.detections if message.header == image.header]
-
         sent_s = float("-inf")
 
         def is_answered() -> bool:
@@ -139,10 +135,10 @@ class DetectorProcess:
             if time.monotonic() - sent_s > _ANSWER_S:
                 self._matched_publisher().publish(image)
                 sent_s = time.monotonic()
-            return bool(answers())
+            return any(message.header == image.header for message in self.detections)
 
         self.observer.wait_for(is_answered, "the detections of an image")
-        return answers()[0]
+        return next(message for message in self.detections if message.header == image.header)
 
     def look(self, index: int = 0) -> Sighting:
         """What the node finds in image number `index` of the scene, sent now."""
