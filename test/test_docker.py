@@ -18,9 +18,9 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from support.clean_environment import pins
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from support.pages import typed
-from support.pinned_versions import pins
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings

@@ -1,4 +1,4 @@
-"""A virtual environment with this package's wheel and what it declares, and nothing else."""
+"""What an environment holds: one with this package's wheel and what it declares, and the pinned versions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from support.colcon_workspace import PACKAGE, clone
+from support.colcon_workspace import PACKAGE, REPOSITORY, clone
 
 
 def build_wheel(folder: Path) -> Path:
@@ -58,6 +58,20 @@ def closure(lines: Iterable[str], extras: Iterable[str] = ()) -> set[str]:
             found.add(key)
             waiting += [(more, key[1]) for more in distribution(wanted.name).requires or []]
     return {name for name, _ in found}
+
+
+def pins(constraints: str) -> dict[str, str]:
+    """Package -> version for this Python; files named by -c included."""
+    lines = (REPOSITORY / "requirements" / constraints).read_text().splitlines()
+    versions: dict[str, str] = {}
+    for line in lines:
+        if line.startswith("-c "):
+            versions |= pins(line.removeprefix("-c "))
+        elif line and not line.startswith("#"):
+            requirement = Requirement(line)
+            if requirement.marker is None or requirement.marker.evaluate():
+                versions[canonicalize_name(requirement.name)] = str(requirement.specifier).removeprefix("==")
+    return versions
 
 
 def _link(required: Distribution, site_packages: Path, executables: Path) -> None:
