@@ -23,8 +23,6 @@ from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 CONFIG = REPOSITORY / "config"
 UNITS = {name: CONFIG / f"{name}.service" for name in ("yolov5", "yolov5_console")}
 PARAMETER_FILES = [file for file in CONFIG.glob("*.yaml") if not file.name.startswith("nav2")]
-
-
 TOPICS = {name.replace("~", NODE) for name in (*published(("",)), *subscribed(("",)))} | {"/diagnostics"}
 
 

@@ -44,6 +44,7 @@ def row(index: int, *cells: object) -> Callable[[], bytes]:
 
 
 def module_at(model: Any, path: str) -> Any:
+    """The module at `path`; at "" the model itself."""
     for name in filter(None, path.split(".")):
         model = vars(model)["_modules"][name]
     return model
