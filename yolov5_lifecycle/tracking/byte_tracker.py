@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.assignment import Indices, Solver, best_pairs, iou_matrix, load_solver
+from yolov5_lifecycle.tracking.assignment import Indices, best_pairs, check_solver, iou_matrix
 from yolov5_lifecycle.tracking.common_motion import CommonMotion
 from yolov5_lifecycle.tracking.motion import UNCONFIRMED, Array, Similarity, Tracks, xyxy_to_cxcywh
 
@@ -53,7 +53,7 @@ class ByteTracker:
     """
 
     def __init__(self, ids: Iterator[int], counts: StampCounts | None = None) -> None:
-        self._solver = load_solver()
+        check_solver()
         self._ids = ids
         self._counts = counts or StampCounts()
         self._tracks = Tracks.none()
@@ -111,7 +111,7 @@ class ByteTracker:
         if camera is not None:
             tracks = tracks.seen_from(camera)
         tracks = self._with_common(tracks, detections, step_s, settings)
-        rows, columns = _associated(tracks, detections, settings, self._solver)
+        rows, columns = _associated(tracks, detections, settings)
         numbers = np.full(len(detections), UNCONFIRMED, np.int64)
         numbers[columns] = [number or next(self._ids) for number in tracks.numbers[rows].tolist()]
         seen = replace(
@@ -138,7 +138,7 @@ class ByteTracker:
         high = np.flatnonzero(detections.scores[:_LEADING] >= settings.track_high_threshold)
         similarity = _similarity(leading, detections, len(high), settings, self._common.variance_xy)
         everyone = np.arange(len(leading))
-        rows, columns = best_pairs(similarity, everyone, high, settings.track_match_threshold, self._solver)
+        rows, columns = best_pairs(similarity, everyone, high, settings.track_match_threshold)
         seen_xy = xyxy_to_cxcywh(detections.boxes_xyxy[columns])[:, :2]
         correction = self._common.correct(leading.position[rows, :2], seen_xy, size_px)
         return tracks if correction is None else tracks.seen_from(*correction)
@@ -158,9 +158,7 @@ def _latest(tracks: Tracks) -> Tracks:
     return tracks.at(np.sort(np.argsort(tracks.unseen_s, kind="stable")[:MAX_TRACKS]))
 
 
-def _associated(
-    tracks: Tracks, detections: Detections, settings: Settings, solver: Solver
-) -> tuple[Indices, Indices]:
+def _associated(tracks: Tracks, detections: Detections, settings: Settings) -> tuple[Indices, Indices]:
     """Rows of `tracks` and of the `detections` that continue them.
 
     First the confirmed tracks, lost ones included, are matched with the detections of a high score, then the
@@ -173,9 +171,9 @@ def _associated(
     similarity = _similarity(tracks, detections, len(high) + len(low), settings)
     threshold = settings.track_match_threshold
 
-    first = best_pairs(similarity, confirmed, high, threshold, solver)
-    second = best_pairs(similarity, _without(confirmed, first[0]), low, threshold, solver)
-    third = best_pairs(similarity, unconfirmed, _without(high, first[1]), threshold, solver)
+    first = best_pairs(similarity, confirmed, high, threshold)
+    second = best_pairs(similarity, _without(confirmed, first[0]), low, threshold)
+    third = best_pairs(similarity, unconfirmed, _without(high, first[1]), threshold)
     rows, columns = zip(first, second, third, strict=True)
     return np.concatenate(rows), np.concatenate(columns)
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from yolov5_lifecycle.tracking.motion import Array, Similarity, later_variances
+from yolov5_lifecycle.tracking.motion import Array, Similarity, corrected_variances, later_variances
 
 MIN_BOXES = 3
 """With fewer boxes, what they have in common may be their own motion."""
@@ -44,24 +44,17 @@ class CommonMotion:
 
     def __init__(self) -> None:
         self._density = _MIN_DENSITY
-        self._variance = np.zeros(2)
-        self._covariance = np.zeros(2)
-        self._velocity_variance = np.zeros(2)
+        self._variances = np.zeros((3, 2))
+        """Of place and velocity, see `Tracks.variances`."""
 
     @property
     def variance_xy(self) -> Array:
         """(2,) of a predicted place, in pixels squared, besides that of its own track."""
-        return self._variance
+        return np.asarray(self._variances[0])
 
     def predict(self, step_s: float, size_px: float) -> None:
         """Let `step_s` seconds pass; `size_px`: of a usual box."""
-        self._variance, self._covariance, self._velocity_variance = later_variances(
-            self._variance,
-            self._covariance,
-            self._velocity_variance,
-            self._density * size_px**2,
-            step_s,
-        )
+        self._variances = later_variances(self._variances, self._density * size_px**2, step_s)
 
     def correct(self, predicted_xy: Array, seen_xy: Array, size_px: float) -> Correction | None:
         """What the tracks gain as centres were `predicted_xy` (n, 2) and are `seen_xy` (n, 2).
@@ -69,26 +62,21 @@ class CommonMotion:
         None for fewer than MIN_BOXES, which say nothing about a camera.
         """
         if len(seen_xy) < MIN_BOXES:
-            self._forget()
+            # Certain again: without measurements the uncertainty would grow for ever.
+            self._variances = np.zeros((3, 2))
+            self._adapt(0.0)
             return None
         surprise = seen_xy - predicted_xy
         middle = np.median(surprise, axis=0)
         spread = np.maximum(1.48 * np.median(np.abs(surprise - middle), axis=0), _MIN_SPREAD * size_px)
-        uncertainty = self._variance + (1.25 * spread) ** 2 / len(surprise)  # of a median
+        uncertainty = self.variance_xy + (1.25 * spread) ** 2 / len(surprise)  # of a median
         self._adapt(float(np.minimum(middle**2 / uncertainty, _MAX_INNOVATION).mean()))
-        gain, velocity_gain = self._variance / uncertainty, self._covariance / uncertainty
-        self._variance = self._variance * (1 - gain)
-        self._velocity_variance = self._velocity_variance - velocity_gain * self._covariance
-        self._covariance = self._covariance * (1 - gain)
-        shift_xy = gain * middle
+        gain = self._variances[:2] / uncertainty
+        self._variances = corrected_variances(self._variances, gain)
+        shift_xy, velocity_xy = gain * middle
         turn = _turn(predicted_xy + shift_xy, surprise - middle, _MIN_SPREAD * size_px)
         turn[:, 2] += turn[:, :2] @ shift_xy
-        return Correction(turn, velocity_gain * middle)
-
-    def _forget(self) -> None:
-        """Be certain again: without measurements the uncertainty would grow for ever."""
-        self._variance, self._covariance, self._velocity_variance = np.zeros((3, 2))
-        self._adapt(0.0)
+        return Correction(turn, velocity_xy)
 
     def _adapt(self, innovation: float) -> None:
         density = self._density * math.exp(_ADAPTION * (innovation - 1))

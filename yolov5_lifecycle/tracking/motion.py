@@ -12,8 +12,7 @@ with time instead of frames: it is the continuous white noise acceleration of Ba
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,15 +42,12 @@ MIN_SIZE_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """n tracks as parallel arrays; estimates are (n, 4), columns cx, cy, w, h in pixels, and seconds."""
+    """n tracks as parallel arrays; estimates are of cx, cy, w and h, in pixels and seconds."""
 
-    position: Array
-    velocity: Array
-    variance: Array
-    """Variance of the position."""
-    covariance: Array
-    """Covariance of position and velocity."""
-    velocity_variance: Array
+    estimates: Array
+    """(n, 2, 4): position and velocity."""
+    variances: Array
+    """(n, 3, 4): variance of the position, its covariance with the velocity, variance of the velocity."""
     class_ids: NDArray[np.int64]
     """(n,) class of the detection that each was last seen in."""
     numbers: NDArray[np.int64]
@@ -68,9 +64,12 @@ class Tracks:
         still = np.zeros_like(position)
         variance = still + measurement_std(position, scores, SAME_ERROR_S) ** 2
         speed_variance = (START_SPEED_STD * _size(position)) ** 2
-        numbers = np.full(len(scores), UNCONFIRMED, np.int64)
         return cls(
-            position, still, variance, still, speed_variance, class_ids, numbers, np.zeros(len(scores))
+            np.stack((position, still), axis=1),
+            np.stack((variance, still, speed_variance), axis=1),
+            class_ids,
+            np.full(len(scores), UNCONFIRMED, np.int64),
+            np.zeros(len(scores)),
         )
 
     @classmethod
@@ -80,6 +79,11 @@ class Tracks:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    @property
+    def position(self) -> Array:
+        """(n, 4) centre and size in pixels."""
+        return self.estimates[:, 0]
 
     @property
     def is_confirmed(self) -> NDArray[np.bool_]:
@@ -97,7 +101,7 @@ class Tracks:
 
         `common_variance_xy` (2,) is that of all centres together, in pixels squared.
         """
-        std = np.sqrt(self.variance[:, :2] + common_variance_xy)
+        std = np.sqrt(self.variances[:, 0, :2] + common_variance_xy)
         return np.minimum(std, MAX_MARGIN * _size(self.position))
 
     @property
@@ -112,19 +116,12 @@ class Tracks:
 
     def predicted(self, step_s: float) -> Tracks:
         """The tracks `step_s` seconds later; a box does not shrink below an empty one."""
-        position = self.position + self.velocity * step_s
-        np.maximum(position[:, 2:], 0, out=position[:, 2:])
+        estimates = self.estimates.copy()
+        estimates[:, 0] += estimates[:, 1] * step_s
+        np.maximum(estimates[:, 0, 2:], 0, out=estimates[:, 0, 2:])
         density = ACCELERATION_DENSITY * _size(self.position) ** 2
-        variances = self.variance, self.covariance, self.velocity_variance
-        variance, covariance, velocity_variance = later_variances(*variances, density, step_s)
-        return replace(
-            self,
-            position=position,
-            variance=variance,
-            covariance=covariance,
-            velocity_variance=velocity_variance,
-            unseen_s=self.unseen_s + step_s,
-        )
+        variances = later_variances(self.variances, density, step_s)
+        return replace(self, estimates=estimates, variances=variances, unseen_s=self.unseen_s + step_s)
 
     def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Tracks:
         """The tracks in an image to whose pixels `camera` maps those of the last one.
@@ -132,23 +129,10 @@ class Tracks:
         `velocity_xy` (2,) is added to the velocity of all centres.
         """
         linear, scale = camera[:, :2].T, float(np.hypot(*camera[:, 0]))
-        position, velocity = (
-            np.hstack((each[:, :2] @ linear, each[:, 2:] * scale)) for each in (self.position, self.velocity)
-        )
-        position[:, :2] += camera[:, 2]
-        velocity[:, :2] += velocity_xy
-        variance, covariance, velocity_variance = (
-            np.hstack((each[:, :2] @ linear**2, each[:, 2:] * scale**2))
-            for each in (self.variance, self.covariance, self.velocity_variance)
-        )
-        return replace(
-            self,
-            position=position,
-            velocity=velocity,
-            variance=variance,
-            covariance=covariance,
-            velocity_variance=velocity_variance,
-        )
+        estimates = _transformed(self.estimates, linear, scale)
+        estimates[:, 0, :2] += camera[:, 2]
+        estimates[:, 1, :2] += velocity_xy
+        return replace(self, estimates=estimates, variances=_transformed(self.variances, linear**2, scale**2))
 
     def corrected(
         self, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating], step_s: float
@@ -158,46 +142,50 @@ class Tracks:
         `step_s`: seconds since the previous image.
         """
         measured = xyxy_to_cxcywh(boxes_xyxy)
-        uncertainty = self.variance + measurement_std(measured, scores, step_s) ** 2
-        gain, velocity_gain = self.variance / uncertainty, self.covariance / uncertainty
-        surprise = measured - self.position
+        noise = measurement_std(measured, scores, step_s)[:, None] ** 2
+        gain = self.variances[:, :2] / (self.variances[:, :1] + noise)
         return replace(
             self,
-            position=self.position + gain * surprise,
-            velocity=self.velocity + velocity_gain * surprise,
-            variance=self.variance * (1 - gain),
-            covariance=self.covariance * (1 - gain),
-            velocity_variance=self.velocity_variance - velocity_gain * self.covariance,
+            estimates=self.estimates + gain * (measured - self.position)[:, None],
+            variances=corrected_variances(self.variances, gain),
             unseen_s=np.zeros(len(self)),
         )
 
     def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Tracks:
         """The tracks in `rows`, indices or a mask."""
-        return Tracks(*(column[rows] for column in self.columns))
+        return Tracks(*(column[rows] for column in vars(self).values()))
 
     def followed_by(self, other: Tracks) -> Tracks:
         """These tracks, then those of `other`."""
-        return Tracks(*map(np.concatenate, zip(self.columns, other.columns, strict=True)))
-
-    @property
-    def columns(self) -> tuple[NDArray[Any], ...]:
-        """All arrays, in the order of the fields."""
-        return tuple(getattr(self, field.name) for field in fields(self))
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Tracks(*map(np.concatenate, pairs))
 
 
-def later_variances(
-    variance: Array, covariance: Array, velocity_variance: Array, density: Array | float, step_s: float
-) -> tuple[Array, Array, Array]:
-    """Of position, of both and of velocity, `step_s` seconds later.
+def _transformed(values: Array, linear: Array, scale: float) -> Array:
+    """The `values` (n, k, 4) of centres, mapped by `linear` (2, 2), and of sizes, times `scale`."""
+    rows = values.reshape(-1, 4)
+    return np.hstack((rows[:, :2] @ linear, rows[:, 2:] * scale)).reshape(values.shape)
 
-    `density`: the variance that the velocity gains per second, in (pixels / s)^2 / s.
+
+def later_variances(variances: Array, density: Array | float, step_s: float) -> Array:
+    """The `variances` (..., 3, k) of a `Tracks`, `step_s` seconds later.
+
+    `density` (..., k): the variance that the velocity gains per second, in (pixels / s)^2 / s.
     """
+    variance, covariance, velocity_variance = (variances[..., part, :] for part in range(3))
     drift = covariance + velocity_variance * step_s
-    return (
-        variance + (covariance + drift) * step_s + density * (step_s**3 / 3),
-        drift + density * (step_s**2 / 2),
-        velocity_variance + density * step_s,
-    )
+    later = np.empty_like(variances)
+    later[..., 0, :] = variance + (covariance + drift) * step_s + density * (step_s**3 / 3)
+    later[..., 1, :] = drift + density * (step_s**2 / 2)
+    later[..., 2, :] = velocity_variance + density * step_s
+    return later
+
+
+def corrected_variances(variances: Array, gain: Array) -> Array:
+    """The `variances` (..., 3, k) after a measurement, by the `gain` (..., 2, k) of both estimates."""
+    of_position, of_velocity = variances[..., :2, :], variances[..., 2:, :]
+    rest = of_velocity - gain[..., 1:, :] * of_position[..., 1:, :]
+    return np.concatenate((of_position * (1 - gain[..., :1, :]), rest), axis=-2)
 
 
 def xyxy_to_cxcywh(boxes_xyxy: NDArray[np.floating]) -> Array:
