@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.images.region import BoxFilter
 
 MAX_CANDIDATES = 30_000
 """Maximum boxes that enter NMS, highest scores first, as in YOLOv5."""

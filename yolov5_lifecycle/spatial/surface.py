@@ -12,8 +12,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.background import is_background
-from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, BoxSamples, around, inside, sampled
+from yolov5_lifecycle.spatial.box_samples import (
+    GRID,
+    IS_AROUND,
+    BoxSamples,
+    around,
+    inside,
+    is_background,
+    sampled,
+)
 from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
 
 _BIN_WIDTH = math.log(1.025)

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Origin
+from yolov5_lifecycle.collecting.collector import CameraCollecting
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
