@@ -6,7 +6,6 @@ A label file has a line for each object: a box or a polygon in fractions of the 
 from __future__ import annotations
 
 import io
-import math
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,8 +13,6 @@ from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
-
-import yaml
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
@@ -38,8 +35,8 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
-from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, class_names_of
-from yolov5_lifecycle.outside_yaml import PlainText, texts_of
+from yolov5_lifecycle.models.class_names import class_names_of
+from yolov5_lifecycle.outside_yaml import texts_of
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES, READABLE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -76,7 +73,7 @@ def read_description(path: Path) -> DataDescription:
         if not isinstance(content, dict):
             raise ValueError("expected names and values, such as `val: images` and `names: [cat, dog]`")
         splits = {name: _paths(content.get(name)) for name in SPLITS}
-        names = _class_names(content["names"]) if content.get("names") else None
+        names = class_names_of(content["names"], 0, MAX_CLASSES) if content.get("names") else None
         (folder, *_) = (*_paths(content.get("path")), "")
     except ValueError as error:
         raise DataError(f"{path}: {error}.") from None
@@ -89,26 +86,6 @@ def _paths(value: object) -> tuple[str, ...]:
     if any(isinstance(text, (list, dict)) for text in texts):
         raise ValueError("path, train, val and test must be paths or lists of paths")
     return tuple(text for text in texts if isinstance(text, str) and text not in _NO_PATH)
-
-
-def _class_names(names: object) -> tuple[str, ...]:
-    """Class names of a list, or of a mapping from the ids 0, 1, ..., as a checkpoint of them would have."""
-    if isinstance(names, dict):
-        names = {key: _loaded(name) for key, name in names.items()}
-    elif isinstance(names, list):
-        names = list(map(_loaded, names))
-    return class_names_of(names, 0, MAX_CLASSES)
-
-
-def _loaded(name: object) -> object:
-    """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
-    if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
-        return name
-    try:
-        value = yaml.safe_load(name)
-    except (yaml.YAMLError, ValueError):  # such as 0b_, a number without digits
-        return name
-    return value if isinstance(value, (bool, int, float, type(None))) else name
 
 
 def read_yolo_folder(
@@ -347,7 +324,10 @@ def _object(fields: list[str], class_count: int) -> LabelledObject:
             "expected a class and 4 numbers (centre and size of a box) or at least 3 points of a polygon, "
             f"found {len(fields)} fields"
         )
-    class_id, *values = map(_number, fields)
+    try:
+        class_id, *values = map(float, fields)
+    except ValueError as error:
+        raise DataError(f"expected numbers: {str(error)[:60]}") from None
     if not class_id.is_integer() or not 0 <= class_id < class_count:
         raise DataError(f"expected a class from 0 to {class_count - 1}, found {fields[0][:20]}")
     outside = [value for value in values if not -_TOLERANCE <= value <= 1 + _TOLERANCE]
@@ -362,13 +342,3 @@ def _object(fields: list[str], class_count: int) -> LabelledObject:
     if not (x1 < x2 and y1 < y2):
         raise DataError("the object has no area")
     return LabelledObject(int(class_id), tuple(values), (x1, y1, x2, y2))
-
-
-def _number(field: str) -> float:
-    try:
-        value = float(field)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise DataError(f"expected numbers, found {field[:20]!r}")
-    return value
