@@ -342,7 +342,7 @@ def test_labels_are_boxes_in_pixels(
         pytest.param("-1 0.5 0.5 0.2 0.2", "found -1", id="negative class"),
         pytest.param("0.5 0.5 0.5 0.2 0.2", "found 0.5", id="half a class"),
         pytest.param("1e400 0.5 0.5 0.2 0.2", "a class from 0 to 1, found 1e400", id="infinite class"),
-        pytest.param("cat 0.5 0.5 0.2 0.2", "expected numbers: could not convert string to float: 'cat'", id="name"),
+        pytest.param("cat 0.5 0.5 0.2 0.2", "expected numbers: could not convert string", id="name"),
         pytest.param("0 nan 0.5 0.2 0.2", "from 0 to 1, found nan", id="NaN"),
         pytest.param("0 1.5 0.5 0.2 0.2", "from 0 to 1, found 1.5", id="beyond 1"),
         pytest.param("0 0.5 -0.5 0.2 0.2", "from 0 to 1, found -0.5", id="below 0"),

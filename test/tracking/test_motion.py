@@ -11,11 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.tracking.common_motion import MIN_BOXES, CommonMotion, Correction
 from yolov5_lifecycle.tracking.motion import (
     ACCELERATION_DENSITY,
+    MIN_BOXES,
     SAME_ERROR_S,
     START_SPEED_STD,
+    CommonMotion,
+    Correction,
     Tracks,
     measurement_std,
     xyxy_to_cxcywh,

@@ -14,11 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.candidate import (
+    PACE_MIN,
+    Candidate,
+    CollectRules,
+    Detail,
+    Origin,
+    Pace,
+    Trigger,
+)
 from yolov5_lifecycle.collecting.collected_files import CollectingError, KeptImage
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.descriptors import Embedding, UsualDescriptor
-from yolov5_lifecycle.collecting.triggers import PACE_MIN, CollectRules, Detail, Pace, Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError

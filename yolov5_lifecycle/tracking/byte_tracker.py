@@ -16,8 +16,14 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.assignment import Indices, best_pairs, check_solver, iou_matrix
-from yolov5_lifecycle.tracking.common_motion import CommonMotion
-from yolov5_lifecycle.tracking.motion import UNCONFIRMED, Array, Similarity, Tracks, xyxy_to_cxcywh
+from yolov5_lifecycle.tracking.motion import (
+    UNCONFIRMED,
+    Array,
+    CommonMotion,
+    Similarity,
+    Tracks,
+    xyxy_to_cxcywh,
+)
 
 MAX_DETECTIONS = 1000
 """Detections tracked per image, highest scores first; bounds the time per image."""

@@ -13,8 +13,8 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Header
 from vision_msgs.msg import LabelInfo, VisionClass
 
+from yolov5_lifecycle.collecting.candidate import CollectRules
 from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
-from yolov5_lifecycle.collecting.triggers import CollectRules
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
