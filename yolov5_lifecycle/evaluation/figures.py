@@ -10,7 +10,7 @@ cancels in the difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,12 +118,13 @@ def counts_at(
     drawn = np.ones((1, matches.objects.shape[1]), np.int32) if weights is None else weights
     is_above = matches.scores > thresholds[matches.class_ids]
     is_right, is_ignored = matches.is_right[0], matches.is_ignored[0]
-
-    def total(is_counted: NDArray[np.bool_]) -> NDArray[np.int64]:
-        return _with_sum([drawn @ of_class for of_class in _by_image(matches, is_counted)])
-
-    objects = _with_sum([drawn @ of_class for of_class in matches.objects])
-    return Counts(total(is_above & is_right), total(is_above & ~is_right & ~is_ignored), objects)
+    counted = (is_above & is_right, is_above & ~is_right & ~is_ignored)
+    per_image: tuple[Iterable[NDArray[np.int64]], ...] = (
+        *(_by_image(matches, each) for each in counted),
+        matches.objects,
+    )
+    each = (np.stack([drawn @ of_class for of_class in classes], axis=1) for classes in per_image)
+    return Counts(*(np.column_stack((of_classes.sum(axis=1), of_classes)) for of_classes in each))
 
 
 def _by_image(matches: Matches, is_counted: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
@@ -131,11 +132,6 @@ def _by_image(matches: Matches, is_counted: NDArray[np.bool_]) -> list[NDArray[n
     slices = map(matches.of_class, range(len(matches.class_names)))
     count = matches.objects.shape[1]
     return [np.bincount(matches.images[rows][is_counted[rows]], minlength=count) for rows in slices]
-
-
-def _with_sum(of_classes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    each = np.stack(of_classes, axis=1)
-    return np.concatenate((each.sum(axis=1, keepdims=True), each), axis=1)
 
 
 def by_metric(
