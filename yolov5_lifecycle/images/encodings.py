@@ -15,8 +15,8 @@ from yolov5_lifecycle.images.image import (
     ColourImage,
     ImageError,
     Order,
+    check_frame_id,
     check_size,
-    layout_of_message,
     rows_of,
 )
 
@@ -145,8 +145,9 @@ def raw_image(image: Any) -> ColourImage:
 
     Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
     """
-    layout = layout_of_message(image)
-    return decode_raw(image.data, **layout)
+    check_frame_id(image)
+    fields = ("encoding", "height", "width", "step", "is_bigendian")
+    return decode_raw(image.data, **{field: getattr(image, field) for field in fields})
 
 
 def decode_raw(

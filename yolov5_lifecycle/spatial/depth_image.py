@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ImageError, check_size, layout_of_message, rows_of
+from yolov5_lifecycle.images.image import ImageError, check_frame_id, check_size, rows_of
 
 MIN_DEPTH_M = 0.01
 MAX_DEPTH_M = 1000.0
@@ -58,32 +58,30 @@ class DepthImage:
         return metres
 
 
-def decode_depth(
-    data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
-) -> DepthImage:
-    """The depth image in a buffer with the layout of sensor_msgs/Image: 16UC1 in mm or 32FC1 in m.
-
-    `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the row stride in
-    bytes. The result is a read-only view of `data`.
-
-    Raises ImageError when the encoding is another or the buffer is too small for the given layout.
-    """
-    if encoding not in DEPTH_ENCODINGS:
-        raise ImageError(
-            f"Expected a depth image in {' or '.join(DEPTH_ENCODINGS)}, found encoding {encoding[:40]!r}. "
-            "Subscribe to the raw depth topic that is aligned to the colour image."
-        )
-    kind, metres_per_unit = DEPTH_ENCODINGS[encoding]
-    check_size(height, width)
-    dtype = np.dtype(kind).newbyteorder(">" if is_bigendian else "<")
-    rows = rows_of(data, rows=height, width=width, pixel_bytes=dtype.itemsize, step=step, encoding=encoding)
-    return DepthImage(rows.view(dtype)[..., 0], metres_per_unit)
-
-
 def depth_image_of_message(image: Any) -> DepthImage:
-    """The depth image in a sensor_msgs/Image, deserialised by any library; see `decode_depth`.
+    """The depth image in a sensor_msgs/Image, deserialised by any library: 16UC1 in mm or 32FC1 in m.
 
-    Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
+    Its `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray), of which the result is a
+    read-only view.
+
+    Raises ImageError when the encoding is another or the buffer is too small for the layout, and for a
+    frame_id longer than MAX_FRAME_ID.
     """
-    layout = layout_of_message(image)
-    return decode_depth(image.data, **layout)
+    check_frame_id(image)
+    if image.encoding not in DEPTH_ENCODINGS:
+        raise ImageError(
+            f"Expected a depth image in {' or '.join(DEPTH_ENCODINGS)}, found encoding "
+            f"{image.encoding[:40]!r}. Subscribe to the raw depth topic that is aligned to the colour image."
+        )
+    kind, metres_per_unit = DEPTH_ENCODINGS[image.encoding]
+    check_size(image.height, image.width)
+    dtype = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
+    rows = rows_of(
+        image.data,
+        rows=image.height,
+        width=image.width,
+        pixel_bytes=dtype.itemsize,
+        step=image.step,
+        encoding=image.encoding,
+    )
+    return DepthImage(rows.view(dtype)[..., 0], metres_per_unit)
