@@ -136,7 +136,9 @@ class Collector:
         if not (candidate.is_requested or candidate.pace.allows(now_s)):
             return
         try:
-            self._keep(candidate, self._opened(), now_s)
+            if self._folder is None:
+                self._folder = self._open_folder()
+            self._keep(candidate, self._folder, now_s)
         except (CollectingError, ImageError, OSError) as error:
             self._fail(str(error), now_s)
         except Exception as error:  # noqa: BLE001 - without this thread no image would be kept any more
@@ -151,7 +153,8 @@ class Collector:
         reasons = dict(candidate.reasons)
         distance = folder.descriptors.distance(embedding)
         if Trigger.NOVEL in rules.triggers and len(embedding) and distance >= NOVEL_DISTANCE:
-            reasons[Trigger.NOVEL] = _novelty(distance)
+            words = f"distance {distance:.2f} from the nearest image"
+            reasons[Trigger.NOVEL] = Detail(words if math.isfinite(distance) else "the first of its kind")
         if not reasons:
             return
         labels = candidate.labels(folder.ids_of(rules.class_names))
@@ -166,11 +169,6 @@ class Collector:
             self._count("outranked")
         self._failed_s = None
         self._note(frames=len(folder), megabytes=folder.size_bytes / 1e6, problem="")
-
-    def _opened(self) -> CollectedFolder:
-        if self._folder is None:
-            self._folder = self._open_folder()
-        return self._folder
 
     def _fail(self, problem: str, now_s: float) -> None:
         problem = in_one_line(problem)
@@ -202,12 +200,6 @@ def _rival(candidate: Candidate, folder: CollectedFolder, now_s: float) -> KeptI
         return None
     recent = folder.kept(candidate.pace.since(now_s - 60 * count / per_minute))
     return min(recent, key=lambda kept: kept.value) if len(recent) >= count else None
-
-
-def _novelty(distance: float) -> Detail:
-    if math.isinf(distance):
-        return Detail("the first of its kind")
-    return Detail(f"distance {distance:.2f} from the nearest image")
 
 
 class CameraCollecting:

@@ -47,7 +47,9 @@ def load_detector(
         return _of_export(model, device=device, precision=precision, image_size=image_size, runtime=runtime)
     stride = size_multiple(model.architecture)
     check_image_size(image_size, stride)
-    cost = checked_cost(model.architecture, image_size, is_in_memory=_is_on_cpu(runtime, device))
+    # A GPU refuses too much by itself.
+    is_on_cpu = runtime not in ("auto", "torch") or resolve_device(device).type == "cpu"
+    cost = checked_cost(model.architecture, image_size, is_in_memory=is_on_cpu)
     choice = Choice(runtime, "as set")
     if runtime == "auto":
         frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
@@ -92,8 +94,3 @@ def _of_export(export: Export, *, device: str, precision: str, image_size: int, 
         cost=cost,
         fixed_hw=export.size_hw,
     )
-
-
-def _is_on_cpu(runtime: str, device: str) -> bool:
-    """Whether the network will run in this machine's memory; a GPU refuses too much by itself."""
-    return runtime not in ("auto", "torch") or resolve_device(device).type == "cpu"

@@ -106,6 +106,11 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
     if not np.isfinite(boxes_xyxy).all():
         raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
     counted = None if counts is None else counts(boxes_xyxy)
+    best_filtered = 0.0
+    if counted is not None:
+        dropped = found.at(~counted)
+        is_admitted = selection.admits(dropped.scores, dropped.class_ids)
+        best_filtered = float(dropped.scores[is_admitted].max(initial=0.0))
     kept = suppress(
         boxes_xyxy,
         groups=np.zeros_like(found.class_ids) if selection.agnostic_nms else found.class_ids,
@@ -119,7 +124,7 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
         found.scores[kept],
         found.class_ids[kept],
         best_missed=0.0 if len(kept) else _best_missed(raw, selection, counts),
-        best_filtered=0.0 if counted is None else _best_filtered(found.at(~counted), selection),
+        best_filtered=best_filtered,
         rows=found.rows[kept],
     )
 
@@ -189,12 +194,6 @@ def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts 
         found = below.at(np.argsort(-below.scores, kind="stable")[:MAX_CANDIDATES])
         found = found.at(counts(cxcywh_to_xyxy(raw[found.rows, :4])))
     return float(found.scores.max(initial=0.0))
-
-
-def _best_filtered(dropped: _Candidates, selection: Selection) -> float:
-    """The highest score of those `dropped` that is above its threshold; 0 if there is none."""
-    is_admitted = selection.admits(dropped.scores, dropped.class_ids)
-    return float(dropped.scores[is_admitted].max(initial=0.0))
 
 
 def suppress(

@@ -10,7 +10,7 @@ cancels in the difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -273,7 +273,8 @@ def _average_precisions(
     images, is_right = matches.images[of_class], matches.is_right[:, of_class]
     is_ignored = matches.is_ignored[:, of_class]
     found = np.empty((len(weights), len(is_right)), np.float64)
-    for portion in _portions(len(weights), len(images)):
+    size = max(MAX_ELEMENTS // max(len(images), 1), 1)
+    for portion in (slice(start, start + size) for start in range(0, len(weights), size)):
         # Detections first: sums over them run along whole rows, which is ten times faster.
         drawn = np.ascontiguousarray(weights[portion].T)[images]  # (d, r)
         objects = (weights[portion] @ matches.objects[class_id]).astype(np.float64)
@@ -300,8 +301,3 @@ def _average_precision(
     reached = np.searchsorted(_RECALLS, share(hits, objects), side="right")
     steps = np.diff(reached, axis=0, prepend=0)
     return np.where(objects > 0, (best * steps).sum(axis=0) / len(_RECALLS), np.nan)
-
-
-def _portions(resamples: int, detections: int) -> Iterator[slice]:
-    size = max(MAX_ELEMENTS // max(detections, 1), 1)
-    return (slice(start, start + size) for start in range(0, resamples, size))

@@ -125,7 +125,7 @@ def encode_jpeg(
 
 def _checked(buffer: NDArray[np.uint8], expected: str, remedy: str) -> FileStructure:
     """The file, if decoding it takes bounded memory and time; else ImageError."""
-    if is_png(buffer):
+    if buffer[: len(_SIGNATURE)].tobytes() == _SIGNATURE:
         file = png_structure(buffer)
     elif is_jpeg(buffer):
         file = jpeg_structure(buffer)
@@ -186,11 +186,6 @@ class FileStructure:
 def is_jpeg(buffer: NDArray[np.uint8]) -> bool:
     """Whether the bytes (N,) start with the JPEG signature."""
     return buffer[:3].tobytes() == b"\xff\xd8\xff"
-
-
-def is_png(buffer: NDArray[np.uint8]) -> bool:
-    """Whether the bytes (N,) start with the PNG signature."""
-    return buffer[: len(_SIGNATURE)].tobytes() == _SIGNATURE
 
 
 def jpeg_structure(buffer: NDArray[np.uint8]) -> FileStructure:

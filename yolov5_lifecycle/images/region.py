@@ -154,20 +154,16 @@ class BoxFilter:
             counts &= longer_px >= _pixels(self.min_box_size, size_hw)
         if self.max_box_size:
             counts &= longer_px <= _pixels(self.max_box_size, size_hw)
-        anchors_xy = self._anchors_xy(boxes_xyxy) / (size_hw[1], size_hw[0])
+        boxes = boxes_xyxy.astype(np.float64)
+        anchors_xy = (boxes[:, :2] + boxes[:, 2:]) / 2
+        if self.region_anchor == "foot":
+            anchors_xy[:, 1] = boxes[:, 3]
+        anchors_xy /= (size_hw[1], size_hw[0])
         if self.regions:
             counts &= np.any([region.contains(anchors_xy) for region in self.regions], axis=0)
         for region in self.ignore_regions:
             counts &= ~region.contains(anchors_xy)
         return counts
-
-    def _anchors_xy(self, boxes_xyxy: NDArray[np.float32]) -> NDArray[np.float64]:
-        """The anchors (n, 2) in pixels."""
-        boxes = boxes_xyxy.astype(np.float64)
-        centres_xy = (boxes[:, :2] + boxes[:, 2:]) / 2
-        if self.region_anchor == "foot":
-            centres_xy[:, 1] = boxes[:, 3]
-        return centres_xy
 
 
 def _pixels(size: float, size_hw: tuple[int, int]) -> np.float32:
