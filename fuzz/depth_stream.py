@@ -19,9 +19,10 @@ from yolov5_lifecycle.spatial.depth_image import (
     MAX_DEPTH_M,
     MIN_DEPTH_M,
     DepthImage,
+    Intrinsics,
     depth_image_of_message,
+    intrinsics_of,
 )
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of
 from yolov5_lifecycle.spatial.placement import Placement, Unplaced, place
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY, DepthPairing, Unpaired
 

@@ -52,7 +52,7 @@ ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "d
 EDGE = (
     *("settings.", "commands.", "offline.", "ros."),
     *("detection.prepared_model", "detection.python_api", "detection.selection"),
-    *("tracking.tracked_detection", "tracking.byte_tracker", "collecting.candidate"),
+    *("tracking.byte_tracker", "collecting.candidate"),
 )
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 

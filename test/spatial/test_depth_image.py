@@ -19,10 +19,8 @@ from yolov5_lifecycle.spatial.depth_image import (
     MAX_DEPTH_M,
     MIN_DEPTH_M,
     DepthImage,
-    depth_image_of_message,
-)
-from yolov5_lifecycle.spatial.intrinsics import (
     Intrinsics,
+    depth_image_of_message,
     intrinsics_of,
 )
 

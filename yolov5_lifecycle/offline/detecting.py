@@ -23,8 +23,7 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.tracking.byte_tracker import StampCounts
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts, TrackedDetection
 
 
 class StoredImage(Protocol):

@@ -21,7 +21,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.inference_threads import Send
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import TrackedDetection
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, FrameCounter, LatencyWindow, Outcome
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads
-from yolov5_lifecycle.tracking.byte_tracker import StampCounts
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts, TrackedDetection
 
 REST_TIMEOUT_S = 3.0
 """Max wait for the frame in progress; launch escalates its stop signal after 5 s."""
