@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +25,7 @@ from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.detection.selection import class_ids
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.settings.value_rules import COLLECT_REASONS, classes_of_reasons
 
@@ -145,17 +144,15 @@ class Pace:
     """
 
     def __init__(self) -> None:
-        self._kept_s = -math.inf
         self._kept: deque[tuple[float, str]] = deque(maxlen=round(60 * PACE_MIN / GAP_S))
 
     def keep(self, image: str, now_s: float) -> None:
         """The frame at the path `image` is kept now."""
-        self._kept_s = now_s
         self._kept.append((now_s, image))
 
     def allows(self, now_s: float) -> bool:
         """Whether a frame may be kept now: there is a gap between two."""
-        return now_s - self._kept_s >= GAP_S
+        return not self._kept or now_s - self._kept[-1][0] >= GAP_S
 
     def since(self, begin_s: float) -> list[str]:
         """The paths of frames that were kept later than `begin_s`."""
@@ -219,13 +216,8 @@ class Candidate:
     @cached_property
     def _visible_detections(self) -> Detections:
         """Those whose centre is in no blank region."""
-        height, width = self.image.size_hw
-        boxes = self.detections.boxes_xyxy.astype(np.float64)
-        centres_xy = (boxes[:, :2] + boxes[:, 2:]) / 2 / (width, height)
-        hidden: NDArray[np.bool_] = np.zeros(len(boxes), np.bool_)
-        for region in self.rules.blank_regions:
-            hidden |= region.contains(centres_xy)
-        return self.detections[~hidden]
+        visible = BoxFilter(ignore_regions=self.rules.blank_regions)
+        return self.detections[visible.admits(self.detections.boxes_xyxy, self.image.size_hw)]
 
     def jpeg(self) -> bytes:
         """The image as it was received if that was a JPEG file, unless regions of it are blanked out.

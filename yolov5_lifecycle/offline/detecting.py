@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.loaded_detector import FixedSizeError
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel, prepare_model
+from yolov5_lifecycle.detection.prepared_model import FixedSizeError, Prepare, PreparedModel, prepare_model
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
