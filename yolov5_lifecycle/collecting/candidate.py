@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.collecting.collected_files import (
     CollectedFrame,
-    CollectedObject,
     embedding_text,
     shades_text,
 )
@@ -240,10 +239,7 @@ class Candidate:
             configuration=rules.settings.digest(),
             reasons={trigger.value: detail.words for trigger, detail in reasons.items()},
             value=value_of(reasons),
-            objects=tuple(
-                CollectedObject(**vars(found))
-                for found in self._visible_detections.objects(rules.class_names)
-            ),
+            objects=tuple(self._visible_detections.objects(rules.class_names)),
             embedding=embedding_text(self.embedding),
             shades=shades_text(self.shades),
         )
