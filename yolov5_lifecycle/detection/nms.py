@@ -214,7 +214,11 @@ def suppress(
     # `limit` are kept: of 25,200 boxes with little overlap the first 1,000 took 0.05 s, all 2.6 to 5 s.
     count = max(2 * limit, 1000)
     while True:
-        kept = _nms(boxes_xywh[:count], iou_threshold)
+        best = boxes_xywh[:count]
+        ranks = np.arange(len(best), 0, -1, dtype=np.float32)  # scores, of which only the order counts
+        # A list, because OpenCV reads an array three times slower. OpenCV 4.6 has no NMSBoxesBatched.
+        found = cv2.dnn.NMSBoxes(best.tolist(), ranks, 0.0, iou_threshold)
+        kept = np.asarray(found, np.int64).reshape(-1)  # an empty tuple when no box is kept
         if counted is not None:
             kept = kept[counted[kept]]
         if len(kept) >= limit or count >= len(boxes_xywh):
@@ -229,10 +233,3 @@ def _apart(boxes_xyxy: NDArray[np.float32], groups: NDArray[np.int64]) -> NDArra
         boxes[:, 0::2] += (groups * np.ptp(boxes[:, 0::2]))[:, None]
     boxes[:, 2:] -= boxes[:, :2]
     return boxes
-
-
-def _nms(boxes_xywh: NDArray[np.float64], iou_threshold: float) -> NDArray[np.int64]:
-    ranks = np.arange(len(boxes_xywh), 0, -1, dtype=np.float32)  # scores, of which only the order counts
-    # A list, because OpenCV reads an array three times slower. OpenCV 4.6 has no NMSBoxesBatched.
-    kept = cv2.dnn.NMSBoxes(boxes_xywh.tolist(), ranks, 0.0, iou_threshold)
-    return np.asarray(kept, np.int64).reshape(-1)  # an empty tuple when no box is kept
