@@ -441,7 +441,7 @@ def test_yolov5_maps_boxes_back_to_almost_the_same_place(size_hw: tuple[int, int
 def test_the_recording_has_the_images_that_are_asked_for(tmp_path: Path) -> None:
     recordings.record_scene(tmp_path / "drive", 23)
     with open_recording(tmp_path / "drive") as recording:
-        images = list(recording.images(recording.image_topic()))
+        images = list(recording.messages(recording.image_topic()))
     assert [image.load().size_hw for image in images] == [(480, 640)] * 23
 
 

@@ -127,7 +127,7 @@ def loss_on(path: Path, fp32: Detector, int8: Detector) -> float | str:
     settings = validated({"image_size": 320})
     with labelled_data(path, DataOptions(), problems) as found:
         return map_loss(
-            found, load_weights(Path(WEIGHTS)), settings, detectors, listener=QUIET, problems=problems
+            found, load_weights(Path(WEIGHTS)), settings, detectors, observer=QUIET, problems=problems
         )
 
 
