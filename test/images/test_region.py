@@ -50,7 +50,7 @@ def test_a_region_may_have_many_points() -> None:
         pytest.param("0,0 a\x1b[31m,0 1,1", r"has 'a?[31m,0' as point 2", id="control-character"),
         pytest.param("0,0 640,0 640,480", "has point 2 at 640,0, outside the image", id="pixels"),
         pytest.param("0,0 1e999,0 1,1", "has point 2 at inf,0, outside the image", id="overflow"),
-        pytest.param("0,0 1,0 1,1 0,0", "has point 4 where point 1 is: leave one out", id="closed"),
+        pytest.param("0,0 1,0 1,1 0,0", "repeats its first point at the end", id="closed"),
         pytest.param("0,0 1,0 1,0 1,1", "has point 3 where point 2 is", id="repeated"),
         pytest.param("0,0 0.1,0.1 0.7,0.7", "has no area: its points lie on one line", id="on-one-line"),
         pytest.param("0,0 1,1 1,0 0,1", "cross or touch, from point to point: 1-2 and 3-4", id="bow-tie"),

@@ -94,7 +94,10 @@ def _check_outline(points: NDArray[np.int64]) -> None:
     """Raise ValueError unless the lines between `points` (n, 2), multiples of 1 / _GRID, form a polygon."""
     places = list(map(tuple, points.tolist()))
     for number, place in enumerate(places, 1):
-        if (first := places.index(place) + 1) != number:
+        first = places.index(place) + 1
+        if first == 1 and number == len(places):
+            raise ValueError("repeats its first point at the end: leave that out, a region closes itself")
+        if first != number:
             raise ValueError(f"has point {number} where point {first} is: leave one out")
     sides = _sides(points)
     if not sides.any():
