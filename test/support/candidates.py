@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.collecting.candidate import Candidate, CollectRules, Detail, Origin, Pace, Trigger
 from yolov5_lifecycle.collecting.collected_files import (
     CollectedFrame,
+    CollectedObject,
     KeptImage,
     embedding_text,
     kept_images,
@@ -19,7 +20,7 @@ from yolov5_lifecycle.collecting.collected_files import (
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.descriptors import SHADES
-from yolov5_lifecycle.detection.detections import Detections, FoundObject
+from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
@@ -74,7 +75,7 @@ RECORD = CollectedFrame(
     configuration="0123456789ab",
     reasons={"uncertain": "cat 0.26, threshold 0.25"},
     value=2.0,
-    objects=(FoundObject(class_name="cat", score=0.9, box_xyxy=(1.5, 2, 3, 4), track_id="7"),),
+    objects=(CollectedObject(class_name="cat", score=0.9, box_xyxy=(1.5, 2, 3, 4), track_id="7"),),
     embedding=embedding_text(look_of(0)),
     shades=shades_text(np.zeros(SHADES, np.int8)),
 )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from yolov5_lifecycle.collecting.collected_files import (
     CollectedFrame,
+    CollectedObject,
     embedding_text,
     shades_text,
 )
@@ -239,7 +240,10 @@ class Candidate:
             configuration=rules.settings.digest(),
             reasons={trigger.value: detail.words for trigger, detail in reasons.items()},
             value=value_of(reasons),
-            objects=tuple(self._visible_detections.objects(rules.class_names)),
+            objects=tuple(
+                CollectedObject(**vars(found))
+                for found in self._visible_detections.objects(rules.class_names)
+            ),
             embedding=embedding_text(self.embedding),
             shades=shades_text(self.shades),
         )

@@ -19,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.collecting.descriptors import SHADES, Embedding, Shades, unit
-from yolov5_lifecycle.detection.detections import FoundObject
 from yolov5_lifecycle.evaluation.ground_truth import MAX_IMAGES, DataError
 from yolov5_lifecycle.evaluation.yolo_folder import MAX_LABEL_BYTES, read_description
 from yolov5_lifecycle.folder_listing import FolderTree
@@ -44,10 +43,22 @@ class CollectingError(ValueError):
     """Nothing can be kept now, or read; the message has the cause and a remedy."""
 
 
-class CollectedFrame(BaseModel):
-    """The record of a kept image: where it comes from, why it was kept, and what a model saw in it."""
-
+class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class CollectedObject(_Strict):
+    """A predicted object, before anybody corrected it."""
+
+    class_name: str = Field(max_length=1000)
+    score: float = Field(ge=0, le=1)
+    box_xyxy: tuple[float, float, float, float]
+    """In pixels."""
+    track_id: str = Field(max_length=100)
+
+
+class CollectedFrame(_Strict):
+    """The record of a kept image: where it comes from, why it was kept, and what a model saw in it."""
 
     image: str = Field(max_length=200, pattern=f"^{_IMAGE.pattern}$")
     """Path below the folder."""
@@ -63,8 +74,7 @@ class CollectedFrame(BaseModel):
     """Details in words by the value of `Trigger`; other versions have other triggers."""
     value: float
     """Of a full folder the frames with the lowest value go first."""
-    objects: tuple[FoundObject, ...] = Field(max_length=30_000)
-    """As predicted, before anybody corrected them."""
+    objects: tuple[CollectedObject, ...] = Field(max_length=30_000)
     embedding: str = Field(max_length=3 * MAX_EMBEDDING)
     """See `embedding_text`."""
     shades: str = Field(max_length=2 * SHADES)
