@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -174,7 +174,7 @@ def _objects(
     # No id of an annotation becomes a key: many that Python takes for equal in part would take hours.
     objects: dict[int, list[_Object]] = {image_id: [] for image_id in image_ids}
     broken = set[int]()
-    for number, record in enumerate(records):
+    for number, record in enumerate(_consumed(records)):
         where = f"annotation number {number}"
         image_id = record.get("image_id") if isinstance(record, dict) else None
         if not isinstance(image_id, int) or image_id not in objects:
@@ -187,6 +187,13 @@ def _objects(
                 problems.add("broken labels", where, _reason(error))
                 broken.add(image_id)
     return {image_id: of_image for image_id, of_image in objects.items() if image_id not in broken}
+
+
+def _consumed(records: list[Any]) -> Iterator[Any]:
+    """The records in order; each is forgotten, as together they may take most of the memory."""
+    records.reverse()
+    while records:
+        yield records.pop()
 
 
 def _object(record: object, class_ids: Mapping[int, int]) -> _Object:

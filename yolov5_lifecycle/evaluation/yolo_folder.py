@@ -14,6 +14,8 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+import yaml
+
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
     MAX_CLASSES,
@@ -35,8 +37,8 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
-from yolov5_lifecycle.models.class_names import class_names_of
-from yolov5_lifecycle.outside_yaml import texts_of
+from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, class_names_of
+from yolov5_lifecycle.outside_yaml import PlainText, texts_of
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES, READABLE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -73,7 +75,7 @@ def read_description(path: Path) -> DataDescription:
         if not isinstance(content, dict):
             raise ValueError("expected names and values, such as `val: images` and `names: [cat, dog]`")
         splits = {name: _paths(content.get(name)) for name in SPLITS}
-        names = class_names_of(content["names"], 0, MAX_CLASSES) if content.get("names") else None
+        names = _class_names(content["names"]) if content.get("names") else None
         (folder, *_) = (*_paths(content.get("path")), "")
     except ValueError as error:
         raise DataError(f"{path}: {error}.") from None
@@ -86,6 +88,26 @@ def _paths(value: object) -> tuple[str, ...]:
     if any(isinstance(text, (list, dict)) for text in texts):
         raise ValueError("path, train, val and test must be paths or lists of paths")
     return tuple(text for text in texts if isinstance(text, str) and text not in _NO_PATH)
+
+
+def _class_names(names: object) -> tuple[str, ...]:
+    """Class names of a list, or of a mapping from the ids 0, 1, ..., as a checkpoint of them would have."""
+    if isinstance(names, dict):
+        names = {key: _loaded(name) for key, name in names.items()}
+    elif isinstance(names, list):
+        names = list(map(_loaded, names))
+    return class_names_of(names, 0, MAX_CLASSES)
+
+
+def _loaded(name: object) -> object:
+    """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
+    if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
+        return name
+    try:
+        value = yaml.safe_load(name)
+    except (yaml.YAMLError, ValueError):  # such as 0b_, a number without digits
+        return name
+    return value if isinstance(value, (bool, int, float, type(None))) else name
 
 
 def read_yolo_folder(
