@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 
 from benchmark.report import Goal, Row, options_of, publish, row
 from yolov5_lifecycle import Detections, Detector, load_model
-from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
-from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.candidate import Candidate, CollectRules, Origin
 from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.triggers import CollectRules
+from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings

@@ -19,8 +19,7 @@ from support.solids import KINDS
 
 from benchmark.report import Row, options_of, publish, row, timed
 from yolov5_lifecycle.spatial.box_samples import inside, sampled
-from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
 
 SCENES = {

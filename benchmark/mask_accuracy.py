@@ -21,8 +21,8 @@ from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes-seg.safetensors"

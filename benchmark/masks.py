@@ -24,9 +24,9 @@ from benchmark.report import Goal, in_turns, options_of, publish, row, size_hw, 
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.draw import draw_masks
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.ros.messages import image_message
 

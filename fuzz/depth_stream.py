@@ -7,6 +7,7 @@ import struct
 import weakref
 from collections.abc import Iterator
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,10 @@ from yolov5_lifecycle.spatial.depth_image import (
     MAX_DEPTH_M,
     MIN_DEPTH_M,
     DepthImage,
-    decode_depth,
+    Intrinsics,
+    depth_image_of_message,
+    intrinsics_of,
 )
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of
 from yolov5_lifecycle.spatial.placement import Placement, Unplaced, place
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY, DepthPairing, Unpaired
 
@@ -63,16 +65,16 @@ class _Stream:
 
     def take_depth(self, fields: Fields, _: bool) -> None:
         stamp_ns, encoding, is_bigendian, height, width, step, size = fields.unpack(_DEPTH)
-        decode = partial(
-            decode_depth,
-            fields.take(size),
+        message = SimpleNamespace(
+            header=SimpleNamespace(frame_id="depth"),
+            data=fields.take(size),
             encoding=_ENCODINGS[encoding % len(_ENCODINGS)],
             height=height,
             width=width,
             step=step,
             is_bigendian=bool(is_bigendian),
         )
-        if depth := taken(decode, ImageError):
+        if depth := taken(partial(depth_image_of_message, message), ImageError):
             assert depth.size_hw == (height, width)
             self._size_hw = depth.size_hw
             self.alive.add(depth)

@@ -15,8 +15,7 @@ from support.detector_process import SCENE
 
 from soak.finding import Finding
 from soak.subject import Sender, Subject
-from yolov5_lifecycle.images.compressed import encode_jpeg
-from yolov5_lifecycle.images.file_structure import MAX_SCANNED_PX, MAX_SCANS
+from yolov5_lifecycle.images.compressed import MAX_SCANNED_PX, MAX_SCANS, encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage
 
 LARGEST_SIDE_PX = 8192

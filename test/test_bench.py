@@ -49,7 +49,7 @@ from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.offline.recording import open_recording
 from yolov5_lifecycle.ros.messages import image_of_message

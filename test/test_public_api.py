@@ -19,10 +19,9 @@ from support.pages import README, blocks
 
 import yolov5_lifecycle
 from yolov5_lifecycle import Detections, Detector, load_model
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME

@@ -16,8 +16,8 @@ from support.scripted_camera import PATIENCE_S
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 

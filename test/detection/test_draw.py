@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import (
     MAX_DRAWN,
@@ -23,7 +22,7 @@ from yolov5_lifecycle.detection.draw import (
 )
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import ColourImage, Order
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 
 NAMES = ("circle", "square", "triangle", "star")
 NONE = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))

@@ -15,8 +15,7 @@ from support.scripted_runtime import ScriptedRuntime
 from yolov5_lifecycle.detection import lane_choice, prepared_model
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
-from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.prepared_model import most_lanes
+from yolov5_lifecycle.detection.prepared_model import load_detector, most_lanes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import Settings

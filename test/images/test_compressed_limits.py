@@ -20,11 +20,12 @@ from support.compressed_files import KINDS, compressed, smooth_file
 from support.hostile_images import FOREIGN_FILES, HOSTILE_JPEGS, HOSTILE_PNGS
 
 from fuzz.targets import check_compressed_image
-from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file
-from yolov5_lifecycle.images.file_structure import (
+from yolov5_lifecycle.images.compressed import (
     MAX_SCANNED_PX,
     MAX_SCANS,
     MAX_SEGMENTS,
+    decode_compressed,
+    decode_image_file,
     jpeg_structure,
     png_structure,
 )

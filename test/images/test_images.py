@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.images.compressed import compressed_image, encode_jpeg
 from yolov5_lifecycle.images.encodings import GreyImage, decode_raw, raw_image
 from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError, bytes_of
-from yolov5_lifecycle.spatial.depth_image import depth_image_of_message
-from yolov5_lifecycle.spatial.intrinsics import intrinsics_of_message
+from yolov5_lifecycle.spatial.depth_image import depth_image_of_message, intrinsics_of_message
 
 BYTES = bytes(range(12))
 

@@ -18,8 +18,8 @@ from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.model import Export, Model
 from yolov5_lifecycle.runtimes.registry import load_export

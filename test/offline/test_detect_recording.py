@@ -48,8 +48,7 @@ from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackedDetection
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 DETECTIONS, MASKS, DRAWN = "/yolov5/detections", "/yolov5/masks", "/yolov5/image"

@@ -18,8 +18,8 @@ from support.runtime_names import COMPILED_RUNTIMES
 from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.model import Model

@@ -25,8 +25,7 @@ from support.floor_scene import View, random_floor_scene, rendered, room
 from support.solids import KINDS, Cuboid, Kind
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.spatial.depth_image import DepthImage, decode_depth
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
 from yolov5_lifecycle.spatial.placement import MAX_BOXES_AT_ONCE, Box3D, Placement, Unplaced, place
 
 SIZE_HW = CAMERA.size_hw
@@ -200,8 +199,8 @@ def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Box
 @given(data=st.binary(min_size=0, max_size=64), boxes_xyxy=several_boxes)
 @settings(max_examples=20)
 def test_any_values_and_boxes_give_finite_numbers_or_a_reason(data: bytes, boxes_xyxy: Boxes) -> None:
-    buffer = np.resize(np.frombuffer(data or b"\0", np.uint8), 320 * 240 * 4)
-    depth = decode_depth(buffer, encoding="32FC1", height=240, width=320, step=1280, is_bigendian=False)
+    values = np.resize(np.frombuffer(data or b"\0", np.uint8), 320 * 240 * 4).view("<f4")
+    depth = DepthImage(values.reshape(240, 320), 1.0)
     for found in place(boxes_xyxy, SIZE_HW, depth, CAMERA):
         if isinstance(found, Box3D):
             assert np.isfinite((found.centre_xyz_m, found.size_xyz_m)).all()

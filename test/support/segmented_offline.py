@@ -15,8 +15,7 @@ from support.reference_masks import whole_mask
 from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.detection.prepared_model import PreparedModel, load_detector
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detect_bag import main

@@ -15,16 +15,14 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.loaded_detector import FixedSizeError
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
+from yolov5_lifecycle.detection.prepared_model import FixedSizeError, Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.tracking.byte_tracker import StampCounts
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts, TrackedDetection
 
 
 class StoredImage(Protocol):

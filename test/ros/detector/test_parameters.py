@@ -15,9 +15,8 @@ from support.preparations import Preparations
 from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel, pixels
 from support.served_node import STATES, ServedNode, class_ids_of, messages_of
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.draw import draw_regions
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_REASON_LENGTH
 from yolov5_lifecycle.settings.settings import SETTINGS
