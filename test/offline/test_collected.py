@@ -143,7 +143,7 @@ def test_an_image_that_cannot_be_read_is_told_in_its_place(tmp_path: Path) -> No
 def test_a_box_from_elsewhere_does_not_end_the_sheet(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 1)
     (frame,) = frames_of(folder)
-    strange = replace(frame.objects[0], box_xyxy=(1e308, -1e308, -5.0, 7.0))
+    strange = frame.objects[0].model_copy(update={"box_xyxy": (1e308, -1e308, -5.0, 7.0)})
     changed = frame.model_copy(update={"objects": (strange, *frame.objects)})
     write_record(folder, changed)
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
@@ -290,7 +290,7 @@ def test_a_folder_whose_name_is_no_text_has_a_sheet(tmp_path: Path) -> None:
 def test_thirty_thousand_names_cost_no_more_than_their_number(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 1)
     (frame,) = frames_of(folder)
-    objects = [replace(frame.objects[0], class_name=f"{number:05}") for number in range(30_000)]
+    objects = [frame.objects[0].model_copy(update={"class_name": f"{number:05}"}) for number in range(30_000)]
     write_record(folder, frame.model_copy(update={"objects": tuple(objects)}))
     begin_s = time.process_time()
     assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
