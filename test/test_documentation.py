@@ -149,3 +149,16 @@ def test_a_name_that_replaces_that_of_another_node_exists() -> None:
     cells = [row[1] for node in nodes for row in table(MIGRATION, node)]
     named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
     assert named <= {setting.name for setting in SETTINGS} | TOPICS | {"yolov5"}
+
+
+def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() -> None:
+    settings = {setting.name for setting in SETTINGS}
+    rows = [
+        row
+        for row in table(MIGRATION, "yolo_ros (mgonzs13/yolo_ros)")
+        if row[1].strip("`") in settings and "service" not in row[0]
+    ]
+    assert len(rows) > 5
+    for row in rows:
+        for name in re.findall(r"`([^`]+)`", row[0]):
+            assert SCHEMA.meant(name) == row[1].strip("`")
