@@ -209,6 +209,7 @@ def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page)
         assert len(lines) == 3  # of all processes
         assert page.parameter("max_rate", name)["value"] == 3.0
         assert page.ask(type="transition", node=name, label="configure") == ""
+    page.wait_for(lambda: name not in page.nodes, "its end, too: the next test begins without it")
 
 
 class JpegPublisher:
