@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 from pathlib import Path
 
 import pytest
 from support.camera_info_file import camera_info_url
 from support.camera_process import END_S, camera_process
+from support.colcon_workspace import REPOSITORY
 from support.detector_process import as_arguments
 from support.grey_images import grey_folder
 
 from yolov5_lifecycle.ros.camera.settings import SCHEMA, CameraSettings
 from yolov5_lifecycle.settings.schema import SettingsError
 
+CAMERA_PAGE = REPOSITORY / "docs" / "camera.md"
 RAW_QOS = "qos_overrides./image_raw.publisher"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return grey_folder(tmp_path)
+
+
+def parameter_rows() -> list[tuple[str, object, str]]:
+    section = CAMERA_PAGE.read_text().partition("\n## Parameters\n")[2].partition("\n## ")[0]
+    cells = re.findall(r"^\| `(\w+)` \| `(.*?)` \| (.*) \|$", section, re.MULTILINE)
+    return [(name, json.loads(default), description) for name, default, description in cells]
+
+
+def test_the_page_of_the_camera_lists_its_parameters() -> None:
+    assert parameter_rows() == [
+        (name, field.default, field.description) for name, field in CameraSettings.model_fields.items()
+    ]
 
 
 def test_a_hanging_source_does_not_delay_the_end(ros_domain: int, tmp_path: Path) -> None:

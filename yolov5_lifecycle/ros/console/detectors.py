@@ -113,7 +113,7 @@ class Detectors:
                 f"{left_out} further nodes are left out, {waiting[room]} first, as the console shows at most "
                 f"{MAX_DETECTORS}: to see one, start a console with --node and its name"
             )
-        self._left_out = left_out
+            self._left_out = left_out
 
     async def _begin(self, name: str) -> None:
         log = self._logs.pop(logger_name(name), None)
