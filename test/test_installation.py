@@ -74,6 +74,7 @@ def test_a_path_in_which_the_messages_can_be_built_is_taken() -> None:
     [
         pytest.param("/home/user/a,b", "','", id="comma"),
         pytest.param("/home/\u0131\u015f\u0131k/robot", r"'\u0131\u015f'", id="Turkish"),
+        pytest.param("/home/o'hara", '"\'"', id="apostrophe"),
         pytest.param("/tmp/a\nb", r"'\n'", id="newline"),
     ],
 )
@@ -122,6 +123,7 @@ def test_make_refuses_a_path_before_it_installs_anything(clone: Path) -> None:
         *(
             pytest.param([f"VENV={folder}"], "expected a folder here whose name begins with .venv-", id=name)
             for folder, name in (
+                ("..", "parent"),
                 (".venvs", "longer"),
                 (".venv-3.12/bin", "below"),
                 (".venv-a .venv-b", "two"),

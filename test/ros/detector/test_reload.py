@@ -19,7 +19,8 @@ from yolov5_lifecycle.detection.prepared_model import prepare_model
 def test_a_reload_swaps_the_model_and_frees_the_old_one(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     served.detect()
-    assert served.set(image_size=320, weights="/other.pt", confidence_threshold=0.5) == (True, "")
+    changed = {"weights": "/other.pt", "confidence_threshold": 0.5, "image_reliability": "reliable"}
+    assert served.set(image_size=320, **changed) == (True, "")
     old, new = prepare.runtimes
     assert old.is_closed
     assert not new.is_closed

@@ -303,6 +303,7 @@ def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
     ros_domain: int, tmp_path: Path
 ) -> None:
     with detector(tmp_path, {}) as tried:
+        assert tried.configure() == ""
         for name, remedy in (("classes", " Set it to its default: []."), ("autostart", "")):
             result = tried.set(name, None)
             assert not result.successful
