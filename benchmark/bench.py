@@ -9,15 +9,14 @@ import argparse
 import gc
 import statistics
 import sys
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
 from benchmark.camera_fleet import Fleet, Passage, active_fleet
 from benchmark.contender import Task, busy_processes, measure
 from benchmark.models import untrained_weights
-from benchmark.report import STAGE, Goal, Row, options_of, publish, row, size_hw, timed
+from benchmark.report import STAGE, Figures, Goal, Program, Row, quick, row, size_hw, timed
 from benchmark.rivals import RIVALS
 from benchmark.work import RUNTIME_PREFIX, image_file
 from yolov5_lifecycle.checkpoints.locate import load_weights
@@ -38,13 +37,13 @@ _NODE = "yolov5"
 class Bench:
     """One run: measurements are collected in `rows`, comparisons in `goals`."""
 
-    def __init__(self, weights: Path, size: str, loads: Sequence[int], *, quick: bool, folder: Path) -> None:
+    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
         self.rows: list[Row] = []
         self.goals: list[Goal] = []
-        self._weights = weights
-        self._size = size
-        self._loads = loads
-        self._quick = quick
+        self._weights = options.weights or untrained_weights("n", folder)
+        self._size = options.size
+        self._loads = sorted({0, options.busy})
+        self._quick = options.quick
         self._folder = folder
         self._medians_ms: dict[tuple[str, int], float] = {}
 
@@ -162,32 +161,29 @@ def forward_goals(medians_ms: Mapping[str, float], busy: int) -> list[Goal]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """All parts."""
     gc.disable()  # a full collection would stop the detection subscriber for 0.2 s
-    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        bench = Bench(
-            options.weights or untrained_weights("n", Path(folder)),
-            options.size,
-            sorted({0, options.busy}),
-            quick=options.quick,
-            folder=Path(folder),
-        )
-        for part in (bench.forwards, bench.model_sizes, bench.node):
-            print(f"measuring: {part.__doc__}", flush=True)
-            part()
-    return publish("bench", options, bench.rows, bench.goals)
+    bench = Bench(options, folder)
+    for part in (bench.forwards, bench.model_sizes, bench.node):
+        print(f"measuring: {part.__doc__}", flush=True)
+        part()
+    return bench.rows, bench.goals
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("bench", __doc__, quick="fewer rounds, one size")
-    parser.add_argument("--weights", type=Path, help="if not an untrained yolov5n")
-    parser.add_argument("--size", default="1280x720", choices=SIZES_WH, help="of the image")
-    parser.add_argument("--busy", type=int, default=1, metavar="N", help="number of busy processes")
-    return parser
+PROGRAM = Program(
+    "bench",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("fewer rounds, one size"),
+        "--weights": {"type": Path, "help": "if not an untrained yolov5n"},
+        "--size": {"default": "1280x720", "choices": SIZES_WH, "help": "of the image"},
+        "--busy": {"type": int, "default": 1, "help": "number of busy processes"},
+    },
+)
+parser = PROGRAM.parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

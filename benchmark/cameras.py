@@ -8,16 +8,14 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet, materials
 from benchmark.fairness import equal_shares, others_rates, slow_beside_fast
-from benchmark.report import Goal, Row, in_turns, options_of, publish, row
+from benchmark.report import Figures, Goal, Program, Row, in_turns, quick, row
 
 IMAGE_HW = (480, 640)
 FOLLOWED = 4
@@ -27,29 +25,15 @@ _SLOW_HZ, _FAST_HZ = 5.0, 120.0
 _SMALL_SIZE = 320
 
 
-@dataclass(frozen=True)
-class Plan:
-    """Extent of a run: durations in seconds, and the number of alternating repetitions."""
-
-    rounds: int
-    passage_s: float
-    shares_s: float
-
-
-FULL = Plan(rounds=3, passage_s=10.0, shares_s=60.0)
-QUICK = Plan(rounds=1, passage_s=4.0, shares_s=10.0)
-
-
 class CameraBench:
     """One run: measurements are collected in `rows`, comparisons in `goals`."""
 
-    def __init__(self, weights: Path, image: Path, folder: Path, plan: Plan) -> None:
+    def __init__(self, folder: Path, *, quick: bool) -> None:
         self.rows: list[Row] = []
         self.goals: list[Goal] = []
-        self._weights = weights
-        self._image = image
+        self._weights, self._image = materials(IMAGE_HW, folder)
         self._folder = folder
-        self._plan = plan
+        self._rounds, self._passage_s, self._shares_s = (1, 4.0, 10.0) if quick else (3, 10.0, 60.0)
 
     def choose_runtime(self) -> None:
         """Let one detector measure the runtimes, alone; the others use its choice."""
@@ -59,7 +43,7 @@ class CameraBench:
     def layouts(self, count: int, rate_hz: float) -> None:
         """Measure one node for all cameras and a node for each, alternately."""
         calls = {layout: partial(self._passage, layout, count, rate_hz) for layout in LAYOUTS}
-        passages = in_turns(calls, self._plan.rounds, mirrored=True)
+        passages = in_turns(calls, self._rounds, mirrored=True)
         for layout, passed in passages.items():
             self.rows += layout_rows(layout, count, passed)
         ratios = ratios_of(*(passages[layout] for layout in LAYOUTS))
@@ -70,10 +54,10 @@ class CameraBench:
 
     def fairness(self) -> None:
         """How cameras share one node: equal ones, a slow beside a fast one, a misbehaving one."""
-        names, passages = _names(FOLLOWED), [self._plan.passage_s] * self._plan.rounds
+        names, passages = _names(FOLLOWED), [self._passage_s] * self._rounds
         with self._shared(names) as fleet:
             total_hz, rows, goals = equal_shares(
-                fleet, names, self._image, rate_hz=_SHARING_HZ, duration_s=self._plan.shares_s
+                fleet, names, self._image, rate_hz=_SHARING_HZ, duration_s=self._shares_s
             )
             self._add(rows, goals)
             rates_hz = _SLOW_HZ, _FAST_HZ
@@ -102,7 +86,7 @@ class CameraBench:
             for name in names:
                 stack.enter_context(fleet.camera(name, self._image, rate_hz=rate_hz))
             fleet.wait_for(names)
-            return fleet.watch(names, self._plan.passage_s)
+            return fleet.watch(names, self._passage_s)
 
 
 def layout_rows(layout: Layout, count: int, passages: Sequence[Passage]) -> list[Row]:
@@ -145,29 +129,17 @@ def layout_goals(ratios: dict[str, float]) -> list[Goal]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
-    plan = QUICK if options.quick else FULL
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """Both layouts for each number of cameras, then how they share."""
     counts = options.counts or ((1, FOLLOWED) if options.quick else (1, 2, FOLLOWED, 8))
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        folder = Path(name)
-        bench = CameraBench(*materials(IMAGE_HW, folder), folder, plan)
-        bench.choose_runtime()
-        for count in counts:
-            print(f"measuring: {_cameras(count)}, one node and a node each", flush=True)
-            bench.layouts(count, options.rate)
-        print(f"measuring: {bench.fairness.__doc__}", flush=True)
-        bench.fairness()
-    return publish("cameras", options, bench.rows, bench.goals)
-
-
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("cameras", __doc__, quick="1 and 4 cameras, one round, shorter")
-    parser.add_argument("--counts", type=int, nargs="+", metavar="N", help="if not 1, 2, 4 and 8 cameras")
-    parser.add_argument("--rate", type=float, default=10.0, metavar="HZ", help="of each camera's images")
-    return parser
+    bench = CameraBench(folder, quick=options.quick)
+    bench.choose_runtime()
+    for count in counts:
+        print(f"measuring: {_cameras(count)}, one node and a node each", flush=True)
+        bench.layouts(count, options.rate)
+    print(f"measuring: {bench.fairness.__doc__}", flush=True)
+    bench.fairness()
+    return bench.rows, bench.goals
 
 
 def _names(count: int) -> list[str]:
@@ -178,5 +150,18 @@ def _cameras(count: int) -> str:
     return f"{count} camera{'s' if count > 1 else ''}"
 
 
+PROGRAM = Program(
+    "cameras",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("1 and 4 cameras, one round, shorter"),
+        "--counts": {"type": int, "nargs": "+", "help": "if not 1, 2, 4 and 8 cameras"},
+        "--rate": {"type": float, "default": 10.0, "help": "of each camera's images, in Hz"},
+    },
+)
+parser = PROGRAM.parser
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

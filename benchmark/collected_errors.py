@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -19,14 +18,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmark.report import Goal, Row, options_of, publish, row
+from benchmark.report import Figures, Goal, Program, row
 from yolov5_lifecycle import Detections, Detector, load_model
-from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
-from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.candidate import Candidate, CollectRules, Origin
 from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.triggers import CollectRules
+from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
@@ -247,7 +244,7 @@ def collect(detector: Detector, seed: int, folder: Path) -> Outcome:
     return replace(outcome, kept=kept)
 
 
-def figures(outcomes: Sequence[Outcome]) -> tuple[list[Row], list[Goal]]:
+def figures(outcomes: Sequence[Outcome]) -> Figures:
     """What the drives have in common, and the goals for the medians."""
     ratios = [outcome.density_ratio for outcome in outcomes]
     duplicates = [100 * outcome.duplicates for outcome in outcomes]
@@ -270,24 +267,21 @@ def figures(outcomes: Sequence[Outcome]) -> tuple[list[Row], list[Goal]]:
     return rows, goals
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Drive, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """The drives of all seeds."""
     detector = load_model(WEIGHTS, image_size=320, runtime="onnxruntime", precision="fp32")
-    outcomes = []
     with closing(detector):
-        for seed in range(options.seeds):
-            with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-                outcomes.append(collect(detector, seed, Path(folder)))
-    return publish("collected_errors", options, *figures(outcomes))
+        return figures([collect(detector, seed, folder / str(seed)) for seed in range(options.seeds)])
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("collected_errors", __doc__)
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="number of drives")
-    return parser
+PROGRAM = Program(
+    "collected_errors",
+    __doc__,
+    measured,
+    {"--seeds": {"type": int, "default": 3, "help": "number of drives"}},
+)
+parser = PROGRAM.parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

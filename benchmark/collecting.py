@@ -8,13 +8,12 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 from benchmark.camera_fleet import Passage, active_fleet, materials
-from benchmark.report import Goal, Row, in_turns, median_ratio, options_of, publish, row
+from benchmark.report import Figures, Goal, Program, in_turns, median_ratio, row
 
 IMAGE_HW = (720, 1280)
 CAMERA = "front"
@@ -27,7 +26,7 @@ _KEEPING: dict[str, dict[str, object]] = {
 }
 
 
-def figures(passages: Mapping[str, Sequence[Passage]]) -> tuple[list[Row], list[Goal]]:
+def figures(passages: Mapping[str, Sequence[Passage]]) -> Figures:
     """Latency and processor time of each way of collecting, and what it adds to those without."""
     rows, goals = [], []
     for name, passed in passages.items():
@@ -59,30 +58,30 @@ def passage(name: str, weights: Path, image: Path, folder: Path, options: argpar
         return fleet.watch([CAMERA], options.seconds)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        folder = Path(name)
-        weights, image = materials(IMAGE_HW, folder)
-        passage(OFF, weights, image, folder, options)  # the runtime is chosen, and cached
-        calls = {way: partial(passage, way, weights, image, folder, options) for way in _KEEPING}
-        rows, goals = figures(in_turns(calls, options.rounds, mirrored=True))
-    return publish("collecting", options, rows, goals)
-
-
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("collecting", __doc__)
-    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="of all ways")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="of each passage")
-    parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="of the camera")
-    return parser
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """Each way in each round."""
+    weights, image = materials(IMAGE_HW, folder)
+    passage(OFF, weights, image, folder, options)  # the runtime is chosen, and cached
+    calls = {way: partial(passage, way, weights, image, folder, options) for way in _KEEPING}
+    return figures(in_turns(calls, options.rounds, mirrored=True))
 
 
 def _latency_ms(passage: Passage) -> float:
     return statistics.median(passage.latencies_ms)
 
 
+PROGRAM = Program(
+    "collecting",
+    __doc__,
+    measured,
+    {
+        "--rounds": {"type": int, "default": 5, "help": "of all ways"},
+        "--seconds": {"type": float, "default": 10.0, "help": "of each passage"},
+        "--rate": {"type": float, "default": 30.0, "help": "of the camera, in Hz"},
+    },
+)
+parser = PROGRAM.parser
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

@@ -12,16 +12,16 @@ import re
 import struct
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AsyncExitStack, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
+from pathlib import Path
 
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from benchmark.process_memory import cpu_s
-from benchmark.report import Goal, in_turns, options_of, publish, row
+from benchmark.report import Figures, Goal, Program, in_turns, quick, row
 from yolov5_lifecycle.ros.child_process import ChildProcess
 from yolov5_lifecycle.ros.demo.one_camera import COMMANDS
 from yolov5_lifecycle.ros.demo.stage import started
@@ -138,11 +138,6 @@ async def _view(images: ClientConnection, seen: Viewing) -> None:
             await images.send("taken")
 
 
-def measured(console: ChildProcess, viewers: int, duration_s: float) -> Viewing:
-    """`viewing`, outside of a loop of events."""
-    return asyncio.run(viewing(console, viewers, duration_s))
-
-
 def goals(seen: dict[int, list[Viewing]]) -> list[Goal]:
     """Age of images with one viewer beyond the detector's p95, and the cost of four viewers over one."""
     one, four = VIEWERS
@@ -157,29 +152,35 @@ def goals(seen: dict[int, list[Viewing]]) -> list[Goal]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
+def measured(options: argparse.Namespace, _: Path) -> Figures:
+    """One viewer and four in each round."""
     seconds, rounds = (3.0, 1) if options.quick else (options.seconds, options.rounds)
     with robot(options.rate) as console:
-        calls = {viewers: partial(measured, console, viewers, seconds) for viewers in VIEWERS}
+        calls = {
+            viewers: lambda viewers=viewers: asyncio.run(viewing(console, viewers, seconds))
+            for viewers in VIEWERS
+        }
         seen = in_turns(calls, rounds)
     rows = []
     for viewers, each in seen.items():
         ages_ms = [age_ms for one in each for age_ms in one.ages_ms]
         rows.append(row("age", f"{viewers} viewers", 0, ages_ms))
         rows.append(row("CPU", f"{viewers} viewers", 0, [one.cpu_percent for one in each], unit="%"))
-    return publish("console", options, rows, goals(seen))
+    return rows, goals(seen)
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("console", __doc__, quick="one short round")
-    parser.add_argument("--rate", type=float, default=15.0, help="images per second")
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each round")
-    parser.add_argument("--rounds", type=int, default=3, help="of one and of four viewers")
-    return parser
+PROGRAM = Program(
+    "console",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("one short round"),
+        "--rate": {"type": float, "default": 15.0, "help": "images per second"},
+        "--seconds": {"type": float, "default": 10.0, "help": "of each round"},
+        "--rounds": {"type": int, "default": 3, "help": "of one and of four viewers"},
+    },
+)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,9 @@ from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, ra
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
-from benchmark.report import Row, options_of, publish, row, timed
+from benchmark.report import Figures, Program, Row, row, timed
 from yolov5_lifecycle.spatial.box_samples import inside, sampled
-from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
 
 SCENES = {
@@ -136,24 +136,23 @@ def cost_rows() -> Iterator[Row]:
         yield row("CPU time", f"{count} boxes, {width}x{height}", 0, times_ms, unit="ms of a core")
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("depth", __doc__)
-    parser.add_argument(
-        "--scenes", type=int, default=40, help="of each shape, a third of those of each solid"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="of the scenes; the constants were chosen with 100"
-    )
-    return parser
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
+def measured(options: argparse.Namespace, _: Path) -> Figures:
+    """Errors in all scenes, and the cost."""
     of_scenes = [*error_rows(options.scenes, options.seed), *floor_rows(options.scenes, options.seed)]
-    return publish("depth", options, [*of_scenes, *cost_rows()], [])
+    return [*of_scenes, *cost_rows()], []
+
+
+PROGRAM = Program(
+    "depth",
+    __doc__,
+    measured,
+    {
+        "--scenes": {"type": int, "default": 40, "help": "of each shape, a third of those of each solid"},
+        "--seed": {"type": int, "default": 0, "help": "of the scenes; the constants were chosen with 100"},
+    },
+)
+parser = PROGRAM.parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

@@ -9,14 +9,13 @@ import argparse
 import dataclasses
 import json
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmark.contender import Task, measure
 from benchmark.models import untrained_network
-from benchmark.report import Goal, Row, options_of, publish, row, size_hw
+from benchmark.report import Figures, Goal, Program, Row, quick, row, size_hw
 from benchmark.work import RUNTIME_PREFIX
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import Architecture
@@ -47,7 +46,7 @@ def _architecture(described: Mapping[str, Any]) -> Architecture:
     return dataclasses.replace(architecture, activation=described["activation"], other_activations=others)
 
 
-def measured(
+def family(
     name: str, architecture: Architecture, image_hw: tuple[int, int], turns: int, folder: Path
 ) -> list[Row]:
     """A row for eager torch and for each runtime."""
@@ -66,31 +65,33 @@ def goal(rows: Sequence[Row]) -> Goal:
     return Goal(f"{rows[0].what}: fastest runtime / {EAGER}", 0, fastest_ms / eager_ms, True, 1.0)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 1 if a family is slower than eager torch."""
-    options = parser().parse_args(arguments)
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """The chosen families."""
     chosen = options.only or (QUICK if options.quick else [name for name, _ in families()])
+    turns = 3 if options.quick else 6
     rows: list[Row] = []
     goals: list[Goal] = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name, architecture in families():
-            if name in chosen:
-                print(f"measuring: {name}", flush=True)
-                turns = 3 if options.quick else 6
-                measurements = measured(name, architecture, options.size, turns, Path(folder))
-                rows += measurements
-                goals.append(goal(measurements))
-    publish("families", options, rows, goals)
-    return int(not all(each.is_reached for each in goals))
+    for name, architecture in families():
+        if name in chosen:
+            print(f"measuring: {name}", flush=True)
+            of_family = family(name, architecture, options.size, turns, folder)
+            rows += of_family
+            goals.append(goal(of_family))
+    return rows, goals
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("families", __doc__, quick="six families, few rounds")
-    parser.add_argument("--only", nargs="*", default=[], metavar="NAME", help="some families")
-    parser.add_argument("--size", type=size_hw, default="640x480", help="width x height of the image")
-    return parser
+PROGRAM = Program(
+    "families",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("six families, few rounds"),
+        "--only": {"nargs": "*", "default": [], "metavar": "NAME", "help": "some families"},
+        "--size": {"type": size_hw, "default": "640x480", "help": "width x height of the image"},
+    },
+    is_judged=True,
+)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

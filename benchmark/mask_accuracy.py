@@ -7,22 +7,22 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from support.reference_masks import reference_mask, whole_mask
 
-from benchmark.report import options_of
+from benchmark.report import Figures, Program, row
 from tools.shapes.evaluate import UNSEEN_SEED, moving, stills
 from tools.shapes.labelled_image import LabelledImage
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "shapes-seg.safetensors"
@@ -59,9 +59,9 @@ def different_shares(detections: Detections, boxes_xyxy: NDArray[np.float32]) ->
     if detections.masks is None:
         raise ValueError("expected a model that segments")
     shares = []
-    for row, box_xyxy in enumerate(boxes_xyxy):
-        found = whole_mask(detections.masks, row, detections.boxes_xyxy[row])
-        wanted = reference_mask(detections.masks, row, box_xyxy) > 0.5
+    for number, box_xyxy in enumerate(boxes_xyxy):
+        found = whole_mask(detections.masks, number, detections.boxes_xyxy[number])
+        wanted = reference_mask(detections.masks, number, box_xyxy) > 0.5
         if wanted.any():
             shares.append(float((found != wanted).sum() / wanted.sum()))
     return shares
@@ -81,26 +81,24 @@ def compared(detector: Detector, images: Iterable[LabelledImage]) -> dict[str, l
     return shares
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Compare and print a table; returns 0."""
-    options = parser().parse_args(arguments)
-    model = load_weights(WEIGHTS).model
-    heads = f"{'images':18}{'image_size':>11}{'objects':>9}  {'boxes of the reference':32}"
-    print(f"{heads}{'median %':>9}{'worst %':>9}")
+def measured(options: argparse.Namespace, _: Path) -> Figures:
+    """Percent of the pixels, for all images and boxes."""
+    model, rows = load_weights(WEIGHTS).model, []
     for name, images, size_hw, image_size in SCENES:
         detector = load_detector(model, device="cpu", image_size=image_size)
         for boxes, shares in compared(detector, images(UNSEEN_SEED, options.images, size_hw)).items():
-            figures = f"{100 * np.median(shares):9.2f}{100 * max(shares):9.2f}"
-            print(f"{name:18}{image_size:11}{len(shares):9}  {boxes:32}{figures}")
-    return 0
+            percents = [100 * share for share in shares]
+            what = f"{name}, {image_size}, {len(shares)} objects"
+            rows.append(row(what, boxes, 0, percents, unit="%"))
+            rows.append(row(what, f"{boxes}: worst", 0, [max(percents)], unit="%"))
+    return rows, []
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("mask_accuracy", __doc__)
-    parser.add_argument("--images", type=int, default=40, help="of each kind")
-    return parser
+PROGRAM = Program(
+    "mask_accuracy", __doc__, measured, {"--images": {"type": int, "default": 40, "help": "of each kind"}}
+)
+parser = PROGRAM.parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

@@ -9,7 +9,6 @@ import argparse
 import dataclasses
 import statistics
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -20,13 +19,13 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from benchmark.models import untrained_network
-from benchmark.report import Goal, in_turns, options_of, publish, row, size_hw, timed
+from benchmark.report import Figures, Goal, Program, in_turns, quick, row, size_hw, timed
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.draw import draw_masks
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.ros.messages import image_message
 
@@ -80,13 +79,13 @@ def random_boxes(rng: np.random.Generator, count: int, size_hw: tuple[int, int])
     return np.asarray(boxes, np.float32)
 
 
-def measured_ms(measured: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
+def measured_ms(calls: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
     """Milliseconds of processor time, of all threads, that each call takes in `turns` turns.
 
     Processor time depends less than elapsed time on what else the machine does.
     """
-    calls = {name: partial(timed, call, time.process_time) for name, call in measured.items()}
-    taken_s = in_turns(calls, turns, warm_ups=_WARM_UPS)
+    timings = {name: partial(timed, call, time.process_time) for name, call in calls.items()}
+    taken_s = in_turns(timings, turns, warm_ups=_WARM_UPS)
     return {name: [1e3 * time_s for time_s in times_s] for name, times_s in taken_s.items()}
 
 
@@ -97,23 +96,24 @@ def goal(taken_ms: Mapping[str, Sequence[float]]) -> Goal:
     return Goal("masks of 10 objects / forward", 0, share, True, _MAX_SHARE_OF_FORWARD)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
-    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        weights = options.weights or untrained_network(SEGMENT_N, Path(folder) / "untrained.safetensors")
-        taken_ms = measured_ms(calls(weights, options.size), turns=20 if options.quick else 200)
-    rows = [row("masks", name, 0, times_ms) for name, times_ms in taken_ms.items()]
-    return publish("masks", options, rows, [goal(taken_ms)])
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """All calls."""
+    weights = options.weights or untrained_network(SEGMENT_N, folder / "untrained.safetensors")
+    taken_ms = measured_ms(calls(weights, options.size), turns=20 if options.quick else 200)
+    return [row("masks", name, 0, times_ms) for name, times_ms in taken_ms.items()], [goal(taken_ms)]
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("masks", __doc__, quick="fewer rounds")
-    parser.add_argument("--weights", type=Path, help="if not an untrained yolov5n-seg")
-    parser.add_argument("--size", type=size_hw, default="640x480", help="width x height of the image")
-    return parser
+PROGRAM = Program(
+    "masks",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("fewer rounds"),
+        "--weights": {"type": Path, "help": "if not an untrained yolov5n-seg"},
+        "--size": {"type": size_hw, "default": "640x480", "help": "width x height of the image"},
+    },
+)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

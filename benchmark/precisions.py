@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ import torch
 
 from benchmark.masks import measured_ms
 from benchmark.models import untrained_weights
-from benchmark.report import Goal, options_of, publish, row, size_hw
+from benchmark.report import Figures, Goal, Program, quick, row, size_hw
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
@@ -65,27 +64,29 @@ def goal(size: str, taken_ms: Mapping[str, Sequence[float]]) -> Goal:
     return Goal(f"yolov5{size}: fp32 / int8", 0, fp32_ms / medians_ms[INT8], False, _MIN_SPEEDUP)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """The networks of all sizes."""
     rows, goals = [], []
-    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        for size in options.sizes:
-            model = load_weights(untrained_weights(size, Path(folder))).model
-            taken_ms = measured_ms(calls(model, options.size), turns=5 if options.quick else 40)
-            rows += [row(f"yolov5{size}", name, 0, times_ms) for name, times_ms in taken_ms.items()]
-            goals.append(goal(size, taken_ms))
+    for size in options.sizes:
+        model = load_weights(untrained_weights(size, folder)).model
+        taken_ms = measured_ms(calls(model, options.size), turns=5 if options.quick else 40)
+        rows += [row(f"yolov5{size}", name, 0, times_ms) for name, times_ms in taken_ms.items()]
+        goals.append(goal(size, taken_ms))
     print(f"processor: {', '.join(abilities()) or 'nothing special'}")
-    return publish("precisions", options, rows, goals)
+    return rows, goals
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("precisions", __doc__, quick="fewer rounds")
-    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=SIZES, help="of the networks")
-    parser.add_argument("--size", type=size_hw, default="640x480", help="width x height of the input")
-    return parser
+PROGRAM = Program(
+    "precisions",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("fewer rounds"),
+        "--sizes": {"nargs": "+", "choices": SIZES, "default": SIZES, "help": "of the networks"},
+        "--size": {"type": size_hw, "default": "640x480", "help": "width x height of the input"},
+    },
+)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

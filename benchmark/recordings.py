@@ -9,7 +9,6 @@ import argparse
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import count
@@ -19,7 +18,7 @@ from typing import Any
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmark.models import untrained_weights
-from benchmark.report import Goal, in_turns, median_ratio, options_of, publish, row, timed
+from benchmark.report import Figures, Goal, Program, in_turns, median_ratio, quick, row, timed
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.sources.scene import Scene
 
@@ -101,32 +100,33 @@ def goals(taken_s: Mapping[str, Sequence[float]]) -> list[Goal]:
     ]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print and write the report; returns 0."""
-    options = parser().parse_args(arguments)
-    with tempfile.TemporaryDirectory(prefix="bench-") as name:
-        folder = Path(name)
-        (folder / "drives").mkdir()
-        for number in range(options.recordings):
-            record_scene(folder / "drives" / f"drive_{number}", 30 if options.quick else options.images)
-        weights = options.weights or untrained_weights("n", folder)
-        runs = calls(folder / "drives", weights.absolute(), folder)
-        rounds = 1 if options.quick else options.rounds
-        # The first turn measures the runtimes.
-        taken_s = in_turns({name: partial(timed, run) for name, run in runs.items()}, rounds, warm_ups=1)
+def measured(options: argparse.Namespace, folder: Path) -> Figures:
+    """All ways in each round."""
+    (folder / "drives").mkdir()
+    for number in range(options.recordings):
+        record_scene(folder / "drives" / f"drive_{number}", 30 if options.quick else options.images)
+    weights = options.weights or untrained_weights("n", folder)
+    runs = calls(folder / "drives", weights.absolute(), folder)
+    rounds = 1 if options.quick else options.rounds
+    # The first turn measures the runtimes.
+    taken_s = in_turns({name: partial(timed, run) for name, run in runs.items()}, rounds, warm_ups=1)
     rows = [row("many recordings", name, 0, times_s, unit="s") for name, times_s in taken_s.items()]
-    return publish("recordings", options, rows, goals(taken_s))
+    return rows, goals(taken_s)
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("recordings", __doc__, quick="one round, 30 images of each")
-    parser.add_argument("--weights", type=Path, help="if not an untrained yolov5n")
-    parser.add_argument("--recordings", type=int, default=4, metavar="N", help="their number")
-    parser.add_argument("--images", type=int, default=150, metavar="N", help="of each recording")
-    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of all ways")
-    return parser
+PROGRAM = Program(
+    "recordings",
+    __doc__,
+    measured,
+    {
+        "--quick": quick("one round, 30 images of each"),
+        "--weights": {"type": Path, "help": "if not an untrained yolov5n"},
+        "--recordings": {"type": int, "default": 4, "help": "their number"},
+        "--images": {"type": int, "default": 150, "help": "of each recording"},
+        "--rounds": {"type": int, "default": 3, "help": "of all ways"},
+    },
+)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

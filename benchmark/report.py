@@ -1,4 +1,4 @@
-"""What all benchmarks share: options, measuring in turns, rows and goals, as a table and as JSON."""
+"""What all benchmarks share: a program with options, measuring in turns, rows and goals, table and JSON."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import math
 import os
 import platform
 import statistics
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 FOLDER = Path(__file__).parents[1] / "build" / "bench"
 STAGE = "stage"
@@ -50,16 +51,44 @@ class Goal:
         return self.value <= self.bound if self.at_most else self.value >= self.bound
 
 
-def options_of(name: str, about: str | None, *, quick: str = "") -> argparse.ArgumentParser:
-    """The parser of `python -m benchmark.NAME`; `about` is its docstring, `quick` what --quick does."""
-    parser = argparse.ArgumentParser(
-        prog=f"benchmark.{name}",
-        description=(about or "").partition("\n")[0],
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    if quick:
-        parser.add_argument("--quick", action="store_true", help=quick)
-    return parser
+Figures = tuple[Sequence[Row], Sequence[Goal]]
+
+
+@dataclass(frozen=True)
+class Program:
+    """`python -m benchmark.NAME`; `about` is the docstring of its module."""
+
+    name: str
+    about: str | None
+    measure: Callable[[argparse.Namespace, Path], Figures]
+    """Called with the options and an empty folder."""
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Arguments of `add_argument` by name."""
+    is_judged: bool = False
+    """Whether the exit status tells that a goal was missed."""
+
+    def parser(self) -> argparse.ArgumentParser:
+        parser = argparse.ArgumentParser(
+            prog=f"benchmark.{self.name}",
+            description=(self.about or "").partition("\n")[0],
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        for name, given in self.options.items():
+            parser.add_argument(name, **given)
+        return parser
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Measure, print and write the report; returns 1 if a goal that is judged was missed."""
+        options = self.parser().parse_args(arguments)
+        with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+            rows, goals = self.measure(options, Path(folder))
+        _publish(self.name, options, rows, goals)
+        return int(self.is_judged and not all(goal.is_reached for goal in goals))
+
+
+def quick(what: str) -> dict[str, Any]:
+    """The option --quick; `what` it does."""
+    return {"action": "store_true", "help": what}
 
 
 def size_hw(text: str) -> tuple[int, int]:
@@ -140,8 +169,8 @@ def goal_table(goals: Iterable[Goal]) -> str:
     )
 
 
-def publish(name: str, options: argparse.Namespace, rows: Sequence[Row], goals: Sequence[Goal]) -> int:
-    """Print both tables, write them with machine and versions to FOLDER/NAME.json; returns 0."""
+def _publish(name: str, options: argparse.Namespace, rows: Sequence[Row], goals: Sequence[Goal]) -> None:
+    """Print both tables, write them with machine and versions to FOLDER/NAME.json."""
     report = {
         "options": {option: str(value) for option, value in vars(options).items()},
         "versions": {package: version(package) for package in _PACKAGES},
@@ -152,4 +181,3 @@ def publish(name: str, options: argparse.Namespace, rows: Sequence[Row], goals: 
     FOLDER.mkdir(parents=True, exist_ok=True)
     (FOLDER / f"{name}.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     print(f"\n{table(rows)}\n\n{goal_table(goals)}\n\n{FOLDER / name}.json", flush=True)
-    return 0

@@ -13,8 +13,8 @@ from benchmark.contender import Task
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import Scene
 

@@ -1,15 +1,14 @@
-"""What the checks need: fields of fuzzed bytes, files with them, refusals as the right answer."""
+"""What the checks need: files with fuzzed bytes, refusals as the right answer."""
 
 from __future__ import annotations
 
 import atexit
 import shutil
-import struct
 import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 Taken = TypeVar("Taken")
 
@@ -21,29 +20,6 @@ def taken(take: Callable[[], Taken], refusal: type[Exception]) -> Taken | None:
     except refusal as error:
         assert str(error).isprintable(), repr(error)
         return None
-
-
-class Fields:
-    """Reads `data` from the start; bytes missing at the end are zeros."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._place = 0
-
-    @property
-    def left(self) -> int:
-        """Number of bytes that have not been read."""
-        return max(len(self._data) - self._place, 0)
-
-    def take(self, count: int) -> bytes:
-        """The next `count` bytes."""
-        found = self._data[self._place : self._place + count]
-        self._place += count
-        return found.ljust(count, b"\0")
-
-    def unpack(self, layout: struct.Struct) -> tuple[Any, ...]:
-        """The values of the next structure."""
-        return layout.unpack(self.take(layout.size))
 
 
 @cache

@@ -18,7 +18,7 @@ from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 from support.random_model import random_model
 from support.small_families import COSTLY, EVERY_SMALL
 
-from fuzz import depth_stream, files, tracked_images
+from fuzz import files
 from fuzz.inputs import taken
 from yolov5_lifecycle.checkpoints.onnx_file import export_cost, read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
@@ -254,6 +254,4 @@ TARGETS = {
     "image-lists": Target(files.check_image_list, files.image_list_seeds),
     "camera-info": Target(files.check_camera_info, files.camera_info_seeds),
     "recordings": Target(files.check_recording, files.recording_seeds),
-    "depth": Target(depth_stream.check_depth_stream, depth_stream.seeds),
-    "tracker": Target(tracked_images.check_tracked_images, tracked_images.seeds),
 }

@@ -15,10 +15,9 @@ import cv2
 from std_srvs.srv import Trigger
 from support.detector_process import NODE, PARAMETERS, scene_image
 
-from soak import faulty_detector
 from soak.disk import Disk
 from soak.finding import Finding, number_of, problem
-from soak.subject import Sender, Subject, subject_of
+from soak.subject import Sender, Subject, subject_in
 from yolov5_lifecycle.collecting.collected_files import LABELS, SUFFIXES, file_of, kept_images
 from yolov5_lifecycle.collecting.collector import IDLE_S, RETRY_S
 from yolov5_lifecycle.ros.child_process import entry_point, own_domain
@@ -121,7 +120,7 @@ def _is_whole(path: Path, size_wh: tuple[int, int]) -> bool:
 @contextmanager
 def _robot(domain: int, folder: Path) -> Iterator[_Robot]:
     parameters = {**_COLLECTING, "collect_dir": folder}
-    with subject_of([faulty_detector.__file__], parameters, domain) as subject:
+    with subject_in(domain, parameters) as subject:
         yield _Robot(subject, folder)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from yolov5_lifecycle.process.environment import prepare_environment
@@ -33,42 +33,24 @@ HANG_S = 10.0
 """Deactivate waits 3 s for each hang, so at most three abandoned threads are alive, the allowed maximum."""
 
 
-def fail(raw: Raw) -> Raw:
-    raise RuntimeError("a fault on purpose")
+def _raise(error: Exception) -> Raw:
+    raise error
 
 
-def run_out_of_memory(raw: Raw) -> Raw:
-    raise torch.OutOfMemoryError("CUDA out of memory, on purpose")
-
-
-def give_nan(raw: Raw) -> Raw:
-    return np.full((1, raw.shape[1]), np.nan, raw.dtype)
-
-
-def give_wrong_shape(raw: Raw) -> Raw:
-    return raw[:, :-1]
-
-
-def be_slow(raw: Raw) -> Raw:
-    time.sleep(SLOW_S)
+def _late(raw: Raw, delay_s: float) -> Raw:
+    time.sleep(delay_s)
     return raw
 
 
-def hang(raw: Raw) -> Raw:
-    time.sleep(HANG_S)
-    return raw
-
-
-FAULTS = {
-    "raise": fail,
-    "out of memory": run_out_of_memory,
-    "NaN": give_nan,
-    "wrong shape": give_wrong_shape,
-    "slow": be_slow,
-    "hang": hang,
+FAULTS: dict[str, Callable[[Raw], Raw]] = {
+    "raise": lambda _: _raise(RuntimeError("a fault on purpose")),
+    "out of memory": lambda _: _raise(torch.OutOfMemoryError("CUDA out of memory, on purpose")),
+    "NaN": lambda raw: np.full((1, raw.shape[1]), np.nan, raw.dtype),
+    "wrong shape": lambda raw: raw[:, :-1],
+    "slow": lambda raw: _late(raw, SLOW_S),
+    "hang": lambda raw: _late(raw, HANG_S),
 }
 GREYS = {fault: grey for grey, fault in enumerate(FAULTS, start=1)}
-_FAULT_OF_GREY = {GREYS[name]: fault for name, fault in FAULTS.items()}
 
 
 class FaultyRuntime:
@@ -95,10 +77,8 @@ def _with_fault(frame: NDArray[np.uint8], predictions: Predictions) -> Predictio
     height, width = frame.shape[:2]  # a grey frame has no third dimension
     middle = frame[height // 3 : -height // 3, width // 3 : -width // 3]  # without letterbox padding
     grey = int(middle.flat[0])
-    fault = _FAULT_OF_GREY.get(grey)
-    if fault is None or not (middle == grey).all():
-        return predictions
-    return replace(predictions, rows=fault(predictions.rows))
+    chosen = [fault for name, fault in FAULTS.items() if GREYS[name] == grey and (middle == grey).all()]
+    return replace(predictions, rows=chosen[0](predictions.rows)) if chosen else predictions
 
 
 def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:

@@ -13,10 +13,8 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from support.detector_process import NODE, scene_image
 
-from soak.faults import faulty_image
 from soak.finding import Finding, number_of
-from soak.images import damaged_message, hostile_image, odd_image
-from soak.service_requests import Fuzz, HostileClient
+from soak.hostile_messages import Fuzz, HostileClient, damaged_message, faulty_image, odd_image
 from soak.subject import Resources, Sender, Subject, camera
 
 _LABELS = ("configure", "activate", "activate", "deactivate", "cleanup", "nonsense")
@@ -73,9 +71,8 @@ class MixedLife:
             "transitions": (10, lambda: subject.transition(self._choose(_LABELS))),
             "storms": (5, self._storm),
             "settings": (10, self._set),
-            "hostile requests": (10, lambda: self._client.ask(self._fuzz)),
-            "hostile images": (10, lambda: self._send(hostile_image(self._fuzz))),
-            "damaged messages": (10, lambda: self._send(damaged_message(self._fuzz))),
+            "hostile requests": (20, lambda: self._client.ask(self._fuzz)),
+            "damaged messages": (20, lambda: self._send(damaged_message(self._fuzz))),
             "whole images": (10, lambda: self._send(scene_image())),
             "odd images": (5, lambda: self._send(odd_image(self._fuzz))),
             "depth images": (5, lambda: self._choose(self._senders).send_depth()),

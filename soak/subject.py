@@ -5,22 +5,19 @@ from __future__ import annotations
 import re
 import sys
 import time
-from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, Image
 from support.depth_messages import camera_info_message, depth_message
 from support.detector_process import (
     NODE,
@@ -28,7 +25,6 @@ from support.detector_process import (
     DetectorProcess,
     as_arguments,
     environment,
-    is_matched_reliably,
     scene_image,
 )
 from vision_msgs.msg import Detection2DArray
@@ -36,18 +32,16 @@ from vision_msgs.msg import Detection2DArray
 from soak import faulty_detector
 from soak.balance import BalanceWatch
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, own_domain
-from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
 _START_S = 120.0
-_NONE: Mapping[str, str] = MappingProxyType({})
 _PACE_S = 0.002
 """Pause between images; one sent at once would replace the one before it unprocessed."""
 _ANSWER_S = 5.0
 _QUEUE = 1000
 _DEPTH_HW = (240, 320)
-_TRANSPORTS = {"raw": (Image, "image_raw"), "compressed": (CompressedImage, "image_raw/compressed")}
 
 
 @dataclass(frozen=True)
@@ -126,34 +120,15 @@ class Subject(DetectorProcess):
 class Sender:
     """Sends images to an active subject, as its camera `name` or its only one, and hears what is detected."""
 
-    def __init__(self, subject: Subject, transport: str = "raw", name: str = "") -> None:
-        self.name = name
-        self.whole = 0
-        """How often a readable image was sent by `send_whole`."""
-        self._subject = subject
+    def __init__(self, subject: Subject, name: str = "") -> None:
+        self._name = name
         self._observer = subject.observer
-        self._transport = transport
         self._last: Any = None
         prefix = f"{NODE}/{name}".rstrip("/")
-        kind, topic = (
-            (Image, "image_raw") if transport == "raw" else (CompressedImage, "image_raw/compressed")
-        )
-        self._images = self._observer.create_publisher(kind, f"{prefix}/{topic}", 1)
+        self._images = self._observer.create_publisher(Image, f"{prefix}/image_raw", 1)
         self._depth = self._observer.create_publisher(Image, f"{prefix}/depth/image_raw", 1)
         self._camera_info = self._observer.create_publisher(CameraInfo, f"{prefix}/depth/camera_info", 1)
-        self._subscription = self._observer.create_subscription(
-            Detection2DArray, f"{prefix}/detections", self._hear, _QUEUE
-        )
-
-    def wait_until_heard(self) -> None:
-        """Wait for the node to subscribe."""
-        self._observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
-
-    def wait_until_reliable(self) -> None:
-        """Wait for the node to subscribe reliably; images between its two subscriptions are not counted."""
-        self._observer.wait_for(
-            lambda: is_matched_reliably(self._observer, self._images), "the node to subscribe reliably"
-        )
+        self._observer.create_subscription(Detection2DArray, f"{prefix}/detections", self._hear, _QUEUE)
 
     def send(self, message: Any) -> None:
         self._images.publish(message)
@@ -167,33 +142,20 @@ class Sender:
 
     def send_whole(self) -> None:
         """Send a readable image until it is detected."""
-        self.wait_until_heard()
-        image = scene_image()
-        message = image if self._transport == "raw" else _compressed(image)
-        sent_s = float("-inf")
+        self._observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
+        image, sent_s = scene_image(), float("-inf")
 
         def is_detected() -> bool:
             nonlocal sent_s
             if time.monotonic() - sent_s > _ANSWER_S:
-                self.send(message)
-                self.whole += 1
+                self.send(image)
                 sent_s = time.monotonic()
             return bool(self._last == image.header)
 
-        self._observer.wait_for(is_detected, f"the detections of a whole image {self.name}".rstrip())
-
-    def close(self) -> None:
-        self._observer.destroy_subscription(self._subscription)
-        for publisher in (self._images, self._depth, self._camera_info):
-            self._observer.destroy_publisher(publisher)
+        self._observer.wait_for(is_detected, f"the detections of a whole image {self._name}".rstrip())
 
     def _hear(self, message: Detection2DArray) -> None:
         self._last = message.header
-
-
-def _compressed(image: Image) -> CompressedImage:
-    data = cv2.imencode(".jpg", image_of_message(image).pixels)[1].tobytes()
-    return CompressedImage(header=image.header, format="jpeg", data=array("B", data))
 
 
 def _camera_of(status_name: str) -> str:
@@ -215,30 +177,16 @@ def subject() -> Iterator[Subject]:
 
 
 @contextmanager
-def subject_in(domain: int, **variables: str) -> Iterator[Subject]:
-    """A process in `domain` with `variables` added to its environment."""
-    with subject_of([faulty_detector.__file__], PARAMETERS, domain, variables) as subject:
-        yield subject
-
-
-@contextmanager
-def subject_of(
-    program: Sequence[str],
-    parameters: Mapping[str, object],
-    domain: int,
-    variables: Mapping[str, str] = _NONE,
-) -> Iterator[Subject]:
-    """A process of another Python program, with its arguments, in `domain`."""
-    command = [sys.executable, *program, "--ros-args", *as_arguments(parameters)]
-    with ChildProcess("detector", command, environment(domain) | dict(variables)) as process:
+def subject_in(domain: int, parameters: Mapping[str, object] = PARAMETERS) -> Iterator[Subject]:
+    """A process in `domain`."""
+    command = [sys.executable, faulty_detector.__file__, "--ros-args", *as_arguments(parameters)]
+    with ChildProcess("detector", command, environment(domain)) as process:
         process.wait_for_output("next step: ", _START_S)
         with closing(Observer("client", domain=domain, check=process.check_running)) as observer:
             yield Subject(process, observer, domain)
 
 
-@contextmanager
-def camera(domain: int, topic: str = f"{NODE}/image_raw", **parameters: object) -> Iterator[ChildProcess]:
-    """A camera process that publishes on `topic`."""
-    words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={topic}"]
-    with ChildProcess("camera", [*words, *as_arguments(parameters)], environment(domain)) as process:
-        yield process
+def camera(domain: int, **parameters: object) -> ChildProcess:
+    """A camera process of the subject in `domain`."""
+    words = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={NODE}/image_raw"]
+    return ChildProcess("camera", [*words, *as_arguments(parameters)], environment(domain))

@@ -19,23 +19,10 @@ from support.colcon_workspace import REPOSITORY
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 PACKAGE = REPOSITORY / "yolov5_lifecycle"
-ROS_MODULES = (
-    "rclpy",
-    "ament_index_python",
-    "bond",
-    "builtin_interfaces",
-    "diagnostic_msgs",
-    "lifecycle_msgs",
-    "rcl_interfaces",
-    "sensor_msgs",
-    "std_msgs",
-    "std_srvs",
-    "vision_msgs",
-)
-# A folder may import folders of lower rows; the first row holds the modules that lie beside the folders.
+# A folder may import folders of lower rows; the first row is for the modules that lie beside the folders.
 RANKS = (
-    ("printable", "input_file", "folder_listing", "unfinished"),
-    ("atomic_file", "outside_yaml", "process"),
+    ("",),
+    ("process",),
     ("images", "models"),
     ("settings", "checkpoints", "runtimes", "streaming", "sources", "spatial"),
     ("quantization",),
@@ -48,12 +35,6 @@ RANKS = (
 )
 RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders}
 ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "demo": 3, "doctor": 4}
-# What a user starts, and what makes a detector or a selection from settings, or is a tracker with them.
-EDGE = (
-    *("settings.", "commands.", "offline.", "ros."),
-    *("detection.prepared_model", "detection.python_api", "detection.selection"),
-    *("tracking.tracked_detection", "tracking.byte_tracker", "collecting.triggers"),
-)
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 
 PRIVATE_BY_NAME_ONLY = {
@@ -92,13 +73,19 @@ def imported_modules(module: str) -> set[str]:
 
 
 def folder_of(module: str) -> str:
-    return module.partition(".")[0]
+    """The folder that `module` lies in; "" beside the folders."""
+    return module.partition(".")[0] if "." in module else ""
 
 
-def ros_folder_of(module: str) -> str:
-    """The folder in `ros/` that `module` lies in; "" for modules beside those folders, and outside."""
-    ros, _, rest = module.partition(".")
-    return rest.partition(".")[0] if ros == "ros" and "." in rest else ""
+def place_of(module: str) -> tuple[str, str]:
+    """The folder of `module`, and for one in `ros/` also that below."""
+    folder, _, rest = module.partition(".")
+    return folder_of(module), folder_of(rest) if folder == "ros" else ""
+
+
+def rank_of(module: str) -> tuple[int, int]:
+    folder, folder_of_ros = place_of(module)
+    return RANK[folder], ROS_RANK[folder_of_ros]
 
 
 def test_a_folder_imports_lower_folders_only() -> None:
@@ -106,21 +93,7 @@ def test_a_folder_imports_lower_folders_only() -> None:
         f"{module} imports {other}"
         for module in MODULES
         for other in imported_modules(module)
-        if folder_of(other) != folder_of(module) and RANK[folder_of(other)] >= RANK[folder_of(module)]
-    ] == []
-
-
-def test_every_folder_has_a_rank() -> None:
-    assert set(map(folder_of, MODULES)) == set(RANK)
-
-
-def test_a_folder_in_ros_imports_lower_ones_only() -> None:
-    assert [
-        f"{module} imports {other}"
-        for module in MODULES
-        for other in imported_modules(module)
-        if ros_folder_of(other) != ros_folder_of(module)
-        and ROS_RANK[ros_folder_of(other)] >= ROS_RANK[ros_folder_of(module)]
+        if place_of(other) != place_of(module) and rank_of(other) >= rank_of(module)
     ] == []
 
 
@@ -130,11 +103,6 @@ def test_no_module_imports_itself_in_a_circle() -> None:
         sorter.prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
-
-
-def test_settings_are_imported_at_the_edge_only() -> None:
-    users = {module for module in MODULES if "settings.settings" in imported_modules(module)}
-    assert [module for module in users if not module.startswith(EDGE)] == []
 
 
 def printed_by(program: str) -> str:
@@ -152,8 +120,8 @@ def modules_in(*folders: str) -> list[str]:
 @pytest.mark.parametrize(
     ("modules", "blocked"),
     [
-        pytest.param(modules_in(*WITHOUT_TORCH), ("torch", *ROS_MODULES), id="torch"),
-        pytest.param(modules_in("spatial"), ("cv2", "torch", *ROS_MODULES), id="all but numpy"),
+        pytest.param(modules_in(*WITHOUT_TORCH), ("torch",), id="torch"),
+        pytest.param(modules_in("spatial"), ("cv2",), id="OpenCV"),
         pytest.param(modules_in("commands", "detection"), ("onnx", "onnxruntime", "openvino"), id="ONNX"),
         pytest.param(["ros.console.command"], ("torch", "cv2"), id="the console"),
         pytest.param(

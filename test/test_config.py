@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import shlex
 import shutil
 import subprocess
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +16,14 @@ import yaml
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE
 
+from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.parameter_file import file_values
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
 
 CONFIG = REPOSITORY / "config"
 UNITS = {name: CONFIG / f"{name}.service" for name in ("yolov5", "yolov5_console")}
 PARAMETER_FILES = [file for file in CONFIG.glob("*.yaml") if not file.name.startswith("nav2")]
-
-
-@cache
-def constants() -> set[str]:
-    """Every text in the sources of the nodes."""
-    return {
-        node.value
-        for file in (REPOSITORY / PACKAGE / "ros").rglob("*.py")
-        for node in ast.walk(ast.parse(file.read_text()))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
-
-
-def topics() -> set[str]:
-    return {
-        f"{NODE}{text.removeprefix('~')}" if text.startswith("~/") else text
-        for text in constants()
-        if re.fullmatch(r"(~/|/)[a-z0-9_/]+", text)
-    }
+TOPICS = {name.replace("~", NODE) for name in (*published(("",)), *subscribed(("",)))} | {"/diagnostics"}
 
 
 def settings_of(file: Path) -> Settings:
@@ -66,7 +47,7 @@ def test_rviz_shows_images_and_boxes_of_the_node() -> None:
     *images, boxes = [display for display in layout["Displays"] if "Topic" in display]
     shown = [display["Topic"]["Value"] for display in (*images, boxes)]
     assert shown == [f"{NODE}/image", f"{NODE}/image_raw", f"{NODE}/detections_3d"]
-    assert set(shown) <= topics()
+    assert set(shown) <= TOPICS
     asked = [display["Topic"]["Reliability Policy"] for display in (*images, boxes)]
     assert asked == ["Reliable", "Best Effort", "Reliable"], "what the detector offers; what any camera can"
     assert not boxes["Enabled"], "the plugin is not installed everywhere"
@@ -84,13 +65,8 @@ def test_rviz_shows_two_cameras() -> None:
     assert {display["Class"] for display in shown.values()} == {display["Class"] for display in usual}
 
 
-@pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.name)
-def test_a_parameter_file_of_the_detector_is_valid(file: Path) -> None:
-    settings_of(file)
-
-
-def test_the_example_of_two_cameras_has_settings_of_each() -> None:
-    settings = settings_of(CONFIG / "two_cameras.yaml")
+def test_parameter_files_of_the_detector_are_valid_and_two_cameras_have_settings_of_each() -> None:
+    settings = {file.name: settings_of(file) for file in PARAMETER_FILES}["two_cameras.yaml"]
     front, rear = map(settings.for_camera, settings.cameras)
     assert (front.max_rate, rear.max_rate) == (10.0, 5.0)
     assert (front.classes, rear.classes) == (("circle", "star"), ())
@@ -102,7 +78,7 @@ def test_foxglove_shows_every_panel_once_and_topics_of_the_node() -> None:
     assert all(text.count(json.dumps(panel)) == 1 for panel in layout["configById"])
     named = [*values(layout, "imageTopic"), *values(layout, "topicPath"), *values(layout, "topicToRender")]
     assert len(named) == 3
-    assert {name.partition(".")[0] for name in named} <= topics()
+    assert {name.partition(".")[0] for name in named} <= TOPICS
     assert list(values(layout, "selectedHardwareId")) == [NODE]
 
 
@@ -171,27 +147,16 @@ def test_a_unit_can_write_the_folders_that_it_names(name: str, written: set[str]
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
-@pytest.mark.parametrize("name", UNITS)
-def test_systemd_finds_a_unit_little_exposed(name: str) -> None:
-    command = [
-        "systemd-analyze",
-        "security",
-        "--offline=true",
-        "--no-pager",
-        "--threshold=25",
-        str(UNITS[name]),
-    ]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    if "--offline" in run.stderr:
-        pytest.skip("systemd 250 or newer is needed")
-    assert run.returncode == 0, run.stdout
+def test_systemd_understands_the_units_and_finds_them_little_exposed(tmp_path: Path) -> None:
+    for name, file in UNITS.items():
+        read = run("systemd-analyze", "verify", "--man=no", shutil.copy(file, tmp_path))
+        assert f"{name}.service:" not in read.stderr, read.stderr
+    for file in UNITS.values():
+        found = run("systemd-analyze", "security", "--offline=true", "--no-pager", "--threshold=25", file)
+        if "--offline" in found.stderr:
+            pytest.skip("systemd 250 or newer is needed")
+        assert found.returncode == 0, found.stdout
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
-@pytest.mark.parametrize("name", UNITS)
-def test_systemd_understands_the_unit(name: str, tmp_path: Path) -> None:
-    copy = shutil.copy(UNITS[name], tmp_path)
-    run = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", copy], capture_output=True, text=True, timeout=60
-    )
-    assert f"{name}.service:" not in run.stderr, run.stderr
+def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)

@@ -8,24 +8,33 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from support.colcon_workspace import REPOSITORY, SUPPORT, SUPPORT_PATH
 from support.detector_process import environment
 from support.watched_processes import DOMAIN, FOLDERS
 
-pytestmark = pytest.mark.long
-
 PROGRAM = SUPPORT / "watched_processes.py"
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 FONTS = r"cache/matplotlib/fontlist-v[\d.]+json"
 COMPILED = r"cache/yolov5_lifecycle/compiled/[0-9a-f]{64}"
 LOG = r"log/[^/]+\.log"
+EXPECTED = {
+    "nodes": ([], [COMPILED, LOG, LOG]),
+    "detect_bag": ([], [COMPILED]),
+    "openvino": ([], [COMPILED]),
+    "evaluate": ([], [FONTS, COMPILED]),
+    "convert": ([], []),
+    "fetch_weights": (["look-up of weights.test"], []),
+    "control": (["TCP to 192.0.2.1:80"], [f"{folder}/control" for folder in sorted(FOLDERS.values())]),
+}
+"""By command, the packets and the files; the control shows that either would have been recorded."""
 
 
-@pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[str]]]:
-    """By command, the packets that were recorded and the files that were written."""
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_command_sends_and_writes_what_the_page_on_security_says(tmp_path: Path) -> None:
     for runtime in ("onnxruntime", "openvino"):
         if importlib.util.find_spec(runtime) is None:
             pytest.skip(f"no {runtime}: make install")
@@ -36,41 +45,19 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[s
     if refused.returncode != 0:
         pytest.skip(f"this machine allows no network namespaces: {refused.stderr.strip()}")
     image = REPOSITORY / "docs" / "images" / "annotated.png"
-    command = [*ALONE, sys.executable, "-W", "ignore", str(PROGRAM)]
     run = subprocess.run(
-        [*command, str(tmp_path_factory.mktemp("watched")), str(image)],
+        [*ALONE, sys.executable, "-W", "ignore", str(PROGRAM), str(tmp_path), str(image)],
         env=environment(DOMAIN) | SUPPORT_PATH,
         capture_output=True,
         text=True,
         timeout=500,
     )
     assert run.returncode == 0, run.stderr
-    result: dict[str, dict[str, list[str]]] = json.loads(run.stdout)
-    return result
-
-
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize(
-    ("command", "packets", "files"),
-    [
-        pytest.param("nodes", [], [COMPILED, LOG, LOG], id="detector and camera"),
-        pytest.param("detect_bag", [], [COMPILED], id="detect_bag"),
-        pytest.param("openvino", [], [COMPILED], id="detect_bag in OpenVINO"),
-        pytest.param("evaluate", [], [FONTS, COMPILED], id="evaluate"),
-        pytest.param("convert", [], [], id="convert"),
-        pytest.param("fetch_weights", ["look-up of weights.test"], [], id="fetch_weights"),
-    ],
-)
-def test_a_command_sends_and_writes_what_the_page_on_security_says(
-    told: dict[str, dict[str, list[str]]], command: str, packets: list[str], files: list[str]
-) -> None:
-    assert told[command]["packets"] == packets
-    assert len(told[command]["files"]) == len(files), told[command]["files"]
-    for file, pattern in zip(told[command]["files"], files, strict=True):
-        assert re.fullmatch(pattern, file), told[command]["files"]
-
-
-@pytest.mark.timeout(600)
-def test_a_connection_and_files_would_have_been_recorded(told: dict[str, dict[str, list[str]]]) -> None:
-    assert told["control"]["packets"] == ["TCP to 192.0.2.1:80"]
-    assert told["control"]["files"] == [f"{folder}/control" for folder in sorted(FOLDERS.values())]
+    told: dict[str, dict[str, list[str]]] = json.loads(run.stdout)
+    assert {name: one["packets"] for name, one in told.items()} == {
+        name: packets for name, (packets, _) in EXPECTED.items()
+    }
+    for name, (_, patterns) in EXPECTED.items():
+        files = told[name]["files"]
+        assert len(files) == len(patterns), (name, files)
+        assert all(map(re.fullmatch, patterns, files)), (name, files)

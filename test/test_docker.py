@@ -18,9 +18,9 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from support.clean_environment import pins
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
 from support.pages import typed
-from support.pinned_versions import pins
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings
@@ -119,20 +119,6 @@ def test_a_build_that_lacks_what_the_entry_point_runs_fails(colcon: str, code: i
     tried = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert tried.returncode == code
     assert ("colcon made no install/" in tried.stderr) == bool(code)
-
-
-def test_the_stand_ins_have_what_the_image_installs_of_ros_and_what_compiles_the_messages() -> None:
-    script = (STAND_INS / "make-archive").read_text()
-    messages = re.search(r"^for interface in (.*); do$", script, re.MULTILINE)
-    assert messages is not None
-    made = {f"ros-jazzy-{name.replace('_', '-')}" for name in messages[1].split()}
-    made |= set(re.findall(r"^pack (ros-jazzy-\S+)$", script, re.MULTILINE))
-    assert made == set(re.findall(r"ros-jazzy-[\w-]+", " ".join(arguments_of("RUN"))))
-    dockerfile = (STAND_INS / "Dockerfile").read_text()
-    (pins,) = re.findall(r"^COPY (requirements/\S+) /tmp/pins.txt$", dockerfile, re.MULTILINE)
-    pinned = set(re.findall(r"^(ros-[\w-]+)", (REPOSITORY / pins).read_text(), re.MULTILINE))
-    needed = (REPOSITORY / "requirements" / "interfaces.txt").read_text()
-    assert set(re.findall(r"^ros-[\w-]+", needed, re.MULTILINE)) <= pinned
 
 
 def test_bash_can_parse_every_script() -> None:

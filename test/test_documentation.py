@@ -18,11 +18,10 @@ from support.pages import (
     MIGRATION,
     PAGES,
     README,
+    TOPICS,
     blocks,
     spans,
     table,
-    topics_of_examples,
-    topics_of_readme,
     typed,
 )
 from support.preparations import Preparations
@@ -38,7 +37,6 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 POINTER = re.compile(r"\bdocs/[\w-]+\.md(?:#[\w-]+)?")
 """How a message, a comment or a docstring names a page or a section of a page."""
-SOURCE_FOLDERS = [REPOSITORY, REPOSITORY / "yolov5_lifecycle"]
 
 
 def settings_of(text: str) -> dict[str, Any]:
@@ -95,7 +93,7 @@ def unknown_names(page: Path) -> Iterator[str]:
     given = set(re.findall(r"-p (\w+):=", text)) - CameraSettings.model_fields.keys()
     yield from sorted(f"parameter {name}" for name in given if name not in SETTINGS_BY_NAME)
     remapped = {name.replace("/yolov5/", "~/") for name in re.findall(r"-r '?([~\w/]+):=", text)}
-    yield from sorted(remapped - topics_of_examples() - {"image_raw", "__node", "__ns"})
+    yield from sorted(remapped - TOPICS - {"image_raw", "__node", "__ns"})
 
 
 def broken_examples(page: Path) -> Iterator[str]:
@@ -146,11 +144,11 @@ def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
 
 
-@pytest.mark.parametrize("node", re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE))
-def test_a_name_that_replaces_that_of_another_node_exists(node: str) -> None:
-    known = {setting.name for setting in SETTINGS} | topics_of_readme() | {"yolov5"}
-    named = {name for row in table(MIGRATION, node) for name in re.findall(r"`([^`]+)`", row[1])}
-    assert named <= known
+def test_a_name_that_replaces_that_of_another_node_exists() -> None:
+    nodes = re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE)
+    cells = [row[1] for node in nodes for row in table(MIGRATION, node)]
+    named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+    assert named <= {setting.name for setting in SETTINGS} | TOPICS | {"yolov5"}
 
 
 def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() -> None:

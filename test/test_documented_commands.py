@@ -1,4 +1,4 @@
-"""Every command of README and docs/ is run here, is checked against the code, or has a reason why not."""
+"""README and docs: our commands are run or have a reason why not, others are checked against the code."""
 
 from __future__ import annotations
 
@@ -22,25 +22,20 @@ from sensor_msgs.msg import Image
 from support.candidates import keep
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
-from support.detector_process import NODE, environment
+from support.detector_process import NODE, STEPS, environment
 from support.evaluated_offline import labelled_drive
 from support.file_server import FileServer, sending_ranges
 from support.pages import (
     PAGES,
+    TOPICS,
     TUTORIAL,
     blocks,
-    declared_arguments,
     spans,
-    topics_of_examples,
     typed,
 )
 from support.recorded_scene import images, jpeg, raw, record, video
 from support.small_families import segmentation_checkpoint
 
-import fuzz.__main__ as fuzz
-import soak.__main__ as soak
-from benchmark import bench, cameras, collected_errors, collecting, depth, mask_accuracy
-from benchmark.tracking import __main__ as tracking
 from tools.shapes import dataset
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.commands import convert, fetch_weights
@@ -50,32 +45,14 @@ from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
+OF_OTHERS = (
+    *("sudo", "git", "cd", "mkdir", "source", "export", "pixi", "docker", "podman", "ray", "journalctl"),
+    *("rviz2", "python3", ".venv/bin/python -c", "~/yolov5_venv/bin/", "~/yolov5_release/bin/"),
+    *("ros2 run rqt_image_view", "ros2 run tf2_ros", "ros2 run nav2_lifecycle_manager", "ros2 security"),
+)
+"""How the commands of other programs begin."""
 NOT_RUN = {
-    "sudo ": "changes the machine",
-    "git tag ": "the release itself",
-    "git push ": "likewise",
-    "~/yolov5_release/bin/": "downloads gigabytes; test_installed_package.py runs the demo of the wheels",
-    "git clone ": "the address depends on where the repository is hosted",
-    "cd ": "the folder of that clone",
-    "pixi ": "no conda channel can be reached here; test_packaging.py checks what pixi.toml names",
-    "mkdir ": "makes the folder that the container is given",
-    "docker ": "no container engine here; test_docker.py checks the recipe, and docker/try-build the image",
-    "podman ": "builds the image, as docker/try-build does",
-    "source ": "the tests run inside of what it sets up",
-    "export ": "bash can parse it; the test of the page's subject sets its own value",
-    ".venv/bin/python -c ": "a question to torch",
-    "python3 -m venv ": "the workspace recipe downloads gigabytes; test_docker.py checks what it names",
-    "python3 -m pip install ": "downloads gigabytes; test_installed_package.py installs what it names",
-    "~/yolov5_venv/bin/": "the workspace recipe",
-    "rviz2 ": "needs RViz; test_config.py checks the file",
-    "journalctl ": "needs systemd; test_config.py checks the unit",
-    "ros2 run rqt_image_view ": "a program of ROS's with a window",
-    "ros2 run tf2_ros ": "needs tf2; test_tf2_page.py publishes the same transform",
-    "python3 detections_in_frame.py": "needs tf2; test_tf2_page.py runs the program",
-    "ros2 run nav2_lifecycle_manager ": "needs Nav2; test_config.py checks the file",
-    "ray start ": "starts daemons; test/offline/many_recordings/test_ray_cluster.py starts such a cluster",
     "detect_bag --ray ": "needs a Ray cluster; test/offline/many_recordings/test_ray_cluster.py has one",
-    "ros2 security ": "needs sros2; test_security_documents.py checks the policy",
     "camera --ros-args -p source:=0 ": "needs a webcam",
     "camera --ros-args -p source:=rtsp:": "needs a network camera; test_network_stream.py has one of HTTP",
     'camera --ros-args -p "source:=v4l2src ': "needs a webcam and GStreamer",
@@ -83,28 +60,9 @@ NOT_RUN = {
     "doctor": "takes a minute; test/doctor/ and test/ros/doctor/ run it",
     "console": "serves until Ctrl-C; test/ros/console/ starts it with these options",
 }
-"""How a command begins, and why it is not tried."""
+"""How a command of this package begins, and why it is not tried."""
 
-TOPICS = {topic.replace("~", NODE) for topic in topics_of_examples()}
-PARSERS = {
-    "BENCH_FLAGS": bench.parser,
-    "CAMERAS_FLAGS": cameras.parser,
-    "FUZZ_FLAGS": fuzz.parser,
-    "SOAK_FLAGS": soak.parser,
-    "TRACKING_FLAGS": tracking.parser,
-}
-"""The parser of the options that `make` passes on."""
-MODULE_PARSERS = {
-    "benchmark.cameras": cameras.parser,
-    "benchmark.collected_errors": collected_errors.parser,
-    "benchmark.collecting": collecting.parser,
-    "benchmark.depth": depth.parser,
-    "benchmark.mask_accuracy": mask_accuracy.parser,
-    "benchmark.tracking": tracking.parser,
-    "tools.shapes.dataset": dataset.parser,
-}
-"""What takes the words behind a module that Python runs."""
-TRANSITIONS = {"configure", "activate", "deactivate", "cleanup", "shutdown"}
+MAKEFILE = (REPOSITORY / "Makefile").read_text()
 ADDITIONS = {
     "detector": ["-p", "autostart:=true", "-p", "runtime:=torch"],
     "camera": ["-p", "rate:=5.0", "-p", "loop:=true"],
@@ -124,23 +82,22 @@ def of_package(command: str) -> str:
     return words if words.split()[0] in COMMANDS else ""
 
 
-def commands(page: Path) -> list[str]:
-    """What a reader may type: the lines of the console blocks."""
-    return [line.strip() for line in typed(page)]
+COMMANDS_OF_PAGES = list(dict.fromkeys(line.strip() for page in PAGES for line in typed(page)))
+"""What a reader may type: the lines of the console blocks."""
 
 
 def check_make(target: str, *assignments: str) -> None:
-    makefile = (REPOSITORY / "Makefile").read_text()
-    assert re.search(rf"^{target}:", makefile, re.MULTILINE)
+    assert re.search(rf"^{target}:", MAKEFILE, re.MULTILINE)
     for assignment in assignments:
         variable, _, value = assignment.partition("=")
-        assert re.search(rf"^{variable} \?=", makefile, re.MULTILINE)
+        assert re.search(rf"^{variable} \?=", MAKEFILE, re.MULTILINE)
         check_flags(variable, value)
 
 
 def check_flags(variable: str, words: str) -> None:
-    if variable in PARSERS:
-        PARSERS[variable]().parse_args(shlex.split(words))
+    """The options that `make` passes on to a module."""
+    if started := re.search(rf"python -m (\S+) \$\({variable}\)", MAKEFILE):
+        check_module(started[1], *shlex.split(words))
 
 
 def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
@@ -156,22 +113,24 @@ def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
 
 def check_lifecycle(verb: str, node: str, transition: str = "") -> None:
     assert (verb, node) == ("set", NODE)
-    assert transition in TRANSITIONS
+    assert transition in {*STEPS.values(), "shutdown"}
 
 
 def check_topic(verb: str, *words: str) -> None:
     assert verb in ("hz", "echo", "info")
     (topic,) = [word for word in words if not word.startswith("--")]
-    assert topic in TOPICS
+    assert topic.replace(NODE, "~", 1) in TOPICS
 
 
 def check_launch(package: str, file: str, *arguments: str) -> None:
     assert package == PACKAGE
-    assert {argument.partition(":=")[0] for argument in arguments} <= declared_arguments(file).keys()
+    declared = re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', (REPOSITORY / "launch" / file).read_text())
+    assert {argument.partition(":=")[0] for argument in arguments} <= set(declared)
 
 
 def check_module(module: str, *words: str) -> None:
-    MODULE_PARSERS[module]().parse_args(words)
+    is_folder = REPOSITORY.joinpath(*module.split(".")).is_dir()
+    importlib.import_module(f"{module}.__main__" if is_folder else module).parser().parse_args(words)
 
 
 def check_service(verb: str, service: str, service_type: str, request: str = "{}") -> None:
@@ -207,20 +166,14 @@ def check_of(command: str) -> str:
     return next((start for start in CHECKS if command.startswith(f"{start} ")), "")
 
 
-def is_excused(command: str) -> bool:
-    return command.startswith(tuple(NOT_RUN))
-
-
-def test_a_command_is_run_or_checked_or_has_a_reason_why_not() -> None:
-    everything = list(dict.fromkeys(command for page in PAGES for command in commands(page)))
-    others = [command for command in everything if not (check_of(command) or of_package(command))]
-    assert [each for each in others if not is_excused(each)] == [], "add to CHECKS, or to NOT_RUN why not"
-    assert [start for start in NOT_RUN if not any(each.startswith(start) for each in everything)] == []
+def test_a_command_is_run_or_checked_or_of_another_program() -> None:
+    others = [each for each in COMMANDS_OF_PAGES if not (check_of(each) or of_package(each))]
+    assert [each for each in others if not each.startswith(OF_OTHERS)] == [], "add to CHECKS, or to OF_OTHERS"
 
 
 @pytest.mark.parametrize("start", CHECKS)
 def test_a_command_of_ros_or_make_names_only_what_exists(start: str) -> None:
-    for command in (each for page in PAGES for each in commands(page) if check_of(each) == start):
+    for command in (each for each in COMMANDS_OF_PAGES if check_of(each) == start):
         CHECKS[start](*shlex.split(command.removeprefix(start)))
 
 
@@ -280,14 +233,11 @@ def _mirror(checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[None
         yield
 
 
-OURS = list(
-    dict.fromkeys(
-        of_package(command)
-        for page in PAGES
-        for command in commands(page)
-        if of_package(command) and not is_excused(command)
-    )
-)
+OURS = [
+    command
+    for command in dict.fromkeys(map(of_package, COMMANDS_OF_PAGES))
+    if command and not command.startswith(tuple(NOT_RUN))
+]
 NODES = [command for command in OURS if "--ros-args" in command]
 AT_ONCE = 4
 

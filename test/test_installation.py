@@ -13,13 +13,14 @@ import sys
 import threading
 import zipfile
 from collections.abc import Iterator
-from importlib.metadata import distribution, packages_distributions
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from support.clean_environment import closure
 from support.colcon_workspace import PACKAGE, REPOSITORY
 from support.file_server import FileServer, ServedRequest
 from support.started import started
@@ -36,28 +37,10 @@ NO_INDEX = "http://127.0.0.1:9"
 PATIENCE_S = 60.0
 
 
-def names_in(requirements: str) -> list[Requirement]:
+def lines_of(requirements: str) -> list[str]:
     lines = (REPOSITORY / "requirements" / requirements).read_text().splitlines()
-    included = [name for line in lines if line.startswith("-r ") for name in names_in(line[3:])]
-    return [*included, *(Requirement(line) for line in lines if re.match(r"\w", line))]
-
-
-def closure(requirements: list[Requirement]) -> set[str]:
-    """The packages that are installed with `requirements`."""
-    found: set[tuple[str, tuple[str, ...]]] = set()
-    waiting = list(requirements)
-    while waiting:
-        wanted = waiting.pop()
-        key = canonicalize_name(wanted.name), tuple(sorted(wanted.extras))
-        if key in found:
-            continue
-        found.add(key)
-        for line in distribution(wanted.name).requires or []:
-            needed = Requirement(line)
-            extras = ("", *wanted.extras)
-            if needed.marker is None or any(needed.marker.evaluate({"extra": extra}) for extra in extras):
-                waiting.append(needed)
-    return {name for name, _ in found}
+    included = [more for line in lines if line.startswith("-r ") for more in lines_of(line[3:])]
+    return [*included, *(line for line in lines if re.match(r"\w", line))]
 
 
 @pytest.fixture
@@ -90,11 +73,9 @@ def test_a_path_in_which_the_messages_can_be_built_is_taken() -> None:
     ("path", "named"),
     [
         pytest.param("/home/user/a,b", "','", id="comma"),
-        pytest.param("/home/zoé/robot", r"'\xe9'", id="accent"),
         pytest.param("/home/\u0131\u015f\u0131k/robot", r"'\u0131\u015f'", id="Turkish"),
         pytest.param("/home/o'hara", '"\'"', id="apostrophe"),
         pytest.param("/tmp/a\nb", r"'\n'", id="newline"),
-        pytest.param("/tmp/a\udcff", r"'\udcff'", id="no UTF-8"),
     ],
 )
 def test_a_path_in_which_the_messages_cannot_be_built_is_refused_with_the_remedy(
@@ -142,7 +123,6 @@ def test_make_refuses_a_path_before_it_installs_anything(clone: Path) -> None:
         *(
             pytest.param([f"VENV={folder}"], "expected a folder here whose name begins with .venv-", id=name)
             for folder, name in (
-                ("venv", "another name"),
                 ("..", "parent"),
                 (".venvs", "longer"),
                 (".venv-3.12/bin", "below"),
@@ -179,9 +159,10 @@ def test_the_demo_installs_less_than_the_tests(clone: Path) -> None:
 
 def test_the_nodes_and_the_demo_need_nothing_that_the_tests_add() -> None:
     built = {PACKAGE, *(folder.name for folder in (REPOSITORY / "interfaces").iterdir())}
-    added = {canonicalize_name(wanted.name) for wanted in names_in("tests.txt")}
-    assert added.isdisjoint(closure(names_in("environment.txt")))
-    installed = closure(names_in("environment.txt")) | {canonicalize_name(name) for name in built}
+    added = {canonicalize_name(Requirement(line).name) for line in lines_of("tests.txt")}
+    needed = closure(lines_of("environment.txt"))
+    assert added.isdisjoint(needed)
+    installed = needed | {canonicalize_name(name) for name in built}
     absent = [
         module
         for module, packages in packages_distributions().items()

@@ -66,7 +66,6 @@ def generate_launch_description():
     )
 """
 
-every_file = pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
 with_launch = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in FROM_ROS),
     reason="launch and launch_ros are not installed",
@@ -91,32 +90,23 @@ def texts(node: ast.AST) -> list[str]:
     ]
 
 
-@every_file
-def test_a_launch_file_imports_launch_alone(file: Path) -> None:
-    modules = {
-        (node.module or "").partition(".")[0]
-        for node in ast.walk(ast.parse(file.read_text()))
-        if isinstance(node, ast.ImportFrom)
-    }
-    assert modules - set(sys.stdlib_module_names) == FROM_ROS
-    compile(file.read_text(), file, "exec")
-
-
-@every_file
-def test_every_argument_is_declared_described_and_used(file: Path) -> None:
-    declared = [texts(call[""])[0] for call in calls(file, "DeclareLaunchArgument")]
-    assert all(texts(call["description"]) != [""] for call in calls(file, "DeclareLaunchArgument"))
-    assert sorted(declared) == sorted({texts(call[""])[0] for call in calls(file, "LaunchConfiguration")})
-
-
-@every_file
-def test_a_file_of_the_package_that_is_named_exists(file: Path) -> None:
-    named = [
-        Path(*(text for text in texts(call[""]) if text != PACKAGE))
-        for call in calls(file, "PathJoinSubstitution")
-    ]
-    assert named
-    assert [path for path in named if not (REPOSITORY / path).is_file()] == []
+def test_a_launch_file_imports_launch_alone_and_uses_the_arguments_and_files_that_there_are() -> None:
+    for file in FILES:
+        modules = {
+            (node.module or "").partition(".")[0]
+            for node in ast.walk(ast.parse(file.read_text()))
+            if isinstance(node, ast.ImportFrom)
+        }
+        assert modules - set(sys.stdlib_module_names) == FROM_ROS, file.name
+        arguments = calls(file, "DeclareLaunchArgument")
+        assert all(texts(argument["description"]) != [""] for argument in arguments), file.name
+        declared = sorted(texts(argument[""])[0] for argument in arguments)
+        used = {texts(call[""])[0] for call in calls(file, "LaunchConfiguration")}
+        assert declared == sorted(used), file.name
+        named = [texts(call[""]) for call in calls(file, "PathJoinSubstitution")]
+        paths = [REPOSITORY.joinpath(*(word for word in words if word != PACKAGE)) for words in named]
+        assert paths
+        assert [path for path in paths if not path.is_file()] == []
 
 
 def launch_command(file: Path, *arguments: str) -> list[str]:

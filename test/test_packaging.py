@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from support.clean_environment import pins
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
-from support.pinned_versions import pins
 
 from yolov5_lifecycle.process.missing_package import PIP_PACKAGES
 

@@ -6,8 +6,7 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -22,30 +21,12 @@ from yolov5_lifecycle.ros.child_process import ChildProcess
 from yolov5_lifecycle.ros.observer import Observer
 
 (PROGRAM,) = blocks(REPOSITORY / "docs" / "tf2.md", "python")
-FROM_ROS = ("tf2_ros", "tf2_geometry_msgs")
-with_tf2 = pytest.mark.skipif(
-    any(importlib.util.find_spec(name) is None for name in FROM_ROS),
-    reason="tf2_ros and tf2_geometry_msgs are not installed",
-)
 
 
-@contextmanager
-def running(folder: Path, domain: int) -> Iterator[tuple[ChildProcess, Observer]]:
-    """The program of the page as a process, and a client."""
-    file = folder / "detections_in_frame.py"
-    file.write_text(PROGRAM)
-    variables = environment(domain) | {"PYTHONPATH": os.environ.get("PYTHONPATH", "")}
-    with (
-        ChildProcess("program", [sys.executable, str(file)], variables) as process,
-        closing(Observer("client", domain=domain, check=process.check_running)) as observer,
-    ):
-        yield process, observer
-
-
-def of_camera(frame: str) -> Detection3DArray:
+def of_camera() -> Detection3DArray:
     """One object, half a metre to the right of the camera, 1 m below and 4 m before it."""
     array = Detection3DArray()
-    array.header.frame_id = frame
+    array.header.frame_id = "camera"
     array.header.stamp.sec = 100
     result = ObjectHypothesisWithPose()
     detection = Detection3D(results=[result])
@@ -70,37 +51,40 @@ def mounted(observer: Observer) -> None:
     )
 
 
-@with_tf2
-def test_the_program_publishes_detections_in_the_frame_that_is_asked_for(
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("tf2_ros", "tf2_geometry_msgs")),
+    reason="tf2_ros and tf2_geometry_msgs are not installed",
+)
+def test_the_program_names_a_frame_that_nobody_publishes_and_then_publishes_detections_in_it(
     tmp_path: Path, ros_domain: int
 ) -> None:
-    with running(tmp_path, ros_domain) as (_, observer):
-        mounted(observer)
+    file = tmp_path / "detections_in_frame.py"
+    file.write_text(PROGRAM)
+    variables = environment(ros_domain) | {"PYTHONPATH": os.environ.get("PYTHONPATH", "")}
+    with (
+        ChildProcess("program", [sys.executable, str(file)], variables) as process,
+        closing(Observer("client", domain=ros_domain, check=process.check_running)) as observer,
+    ):
         found: list[Detection3DArray] = []
         observer.create_subscription(Detection3DArray, "/detections_3d_in_frame", found.append, 1)
         publisher = observer.create_publisher(Detection3DArray, "/yolov5/detections_3d", 1)
 
-        def is_found() -> bool:
-            publisher.publish(of_camera("camera"))
-            return bool(found)
-
-        observer.wait_for(is_found, "detections in base_link")
-        array = found[0]
-        (detection,) = array.detections
-        assert (array.header.frame_id, detection.header.frame_id) == ("base_link", "base_link")
-        assert array.header.stamp.sec == 100
-        for pose in (detection.bbox.center, detection.results[0].pose.pose):
-            place = pose.position
-            assert (place.x, place.y, place.z) == pytest.approx((4.2, -0.5, -0.2))
-
-
-@with_tf2
-def test_the_program_names_a_frame_that_nobody_publishes(tmp_path: Path, ros_domain: int) -> None:
-    with running(tmp_path, ros_domain) as (process, observer):
-        publisher = observer.create_publisher(Detection3DArray, "/yolov5/detections_3d", 1)
-
         def is_told() -> bool:
-            publisher.publish(of_camera("lens"))
+            publisher.publish(of_camera())
             return "no transform to base_link: " in process.output
 
         observer.wait_for(is_told, "the warning")
+        mounted(observer)
+
+        def is_found() -> bool:
+            publisher.publish(of_camera())
+            return bool(found)
+
+        observer.wait_for(is_found, "detections in base_link")
+    array = found[0]
+    (detection,) = array.detections
+    assert (array.header.frame_id, detection.header.frame_id) == ("base_link", "base_link")
+    assert array.header.stamp.sec == 100
+    for pose in (detection.bbox.center, detection.results[0].pose.pose):
+        place = pose.position
+        assert (place.x, place.y, place.z) == pytest.approx((4.2, -0.5, -0.2))

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from benchmark.report import Goal, options_of, publish
+from benchmark.report import Figures, Goal, Program
 from benchmark.tracking.cases import Case, counts_of, oracle_ids, own_ids, rendered_cases, simulated_cases
 from benchmark.tracking.figures import TrackCounts
 from benchmark.tracking.scenes import STILL_SCENES
@@ -25,39 +25,12 @@ Group = tuple[str, float]
 """A scene at a rate."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and print; returns 1 if a goal is missed."""
-    options = parser().parse_args(arguments)
-    goals: list[Goal] = []
-    makers = [("simulated", simulated_cases, options.seeds), ("rendered", rendered_cases, options.rendered)]
-    for what, make_cases, seeds in makers:
-        if not seeds:
-            continue
-        cases = make_cases(range(options.first_seed, options.first_seed + seeds))
-        counts = {
-            "own": [counts_of(case.frames, own_ids(case.frames)) for case in cases],
-            "boxes": [counts_of(case.frames, own_ids(case.frames, with_camera=False)) for case in cases],
-        }
-        if options.oracle:
-            answers = oracle_ids(options.oracle, cases)
-            counts["oracle"] = [counts_of(case.frames, ids) for case, ids in zip(cases, answers, strict=True)]
-        print(f"{what}\n{identity_table(cases, counts)}\n")
-        goals += identity_goals(what, cases, counts)
-    rows = time_rows()
-    goals.append(Goal("50 objects [ms]", 0, rows[0].median, True, 1.0))
-    goals += [Goal(f"camera motion, {each.name} [ms]", 0, each.median, True, 1.5) for each in rows[3:]]
-    publish("tracking", options, rows, goals)
-    return int(not all(goal.is_reached for goal in goals))
-
-
 def identity_table(cases: Sequence[Case], counts: Mapping[str, Sequence[TrackCounts]]) -> str:
-    """A line for each scene and rate: IDF1, HOTA and switches of each tracker.
+    """A line for each scene and rate: IDF1 and switches of each tracker.
 
     `counts` has those of every case for each tracker. The last line has the means of all lines.
     """
-    heads = f"{'scene':13}{'Hz':>4}{'objects':>9}" + "".join(
-        f"  {name:>8}: IDF1   HOTA switches" for name in counts
-    )
+    heads = f"{'scene':13}{'Hz':>4}{'objects':>9}" + "".join(f"  {name:>8}: IDF1 switches" for name in counts)
     lines = [heads, "-" * len(heads)]
     sums = {name: _groups(cases, each) for name, each in counts.items()}
     for group, truths in ((group, each.truths) for group, each in next(iter(sums.values())).items()):
@@ -68,9 +41,9 @@ def identity_table(cases: Sequence[Case], counts: Mapping[str, Sequence[TrackCou
 
 
 def _figures(counts: Sequence[TrackCounts]) -> str:
-    """The mean of IDF1 and of HOTA, and all switches."""
-    idf1, hota = sum(c.idf1 for c in counts), sum(c.hota for c in counts)
-    return f"{idf1 / len(counts):16.3f}{hota / len(counts):7.3f}{sum(c.switches for c in counts):9}"
+    """The mean of IDF1, and all switches."""
+    idf1 = sum(c.idf1 for c in counts) / len(counts)
+    return f"{idf1:16.3f}{sum(c.switches for c in counts):9}"
 
 
 def _groups(cases: Sequence[Case], counts: Sequence[TrackCounts]) -> dict[Group, TrackCounts]:
@@ -98,16 +71,44 @@ def identity_goals(
         yield Goal(f"IDF1 lost through images, {what}, camera still", 0, mean, True, MAX_STILL_LOSS)
 
 
-def parser() -> argparse.ArgumentParser:
-    """The argument parser."""
-    parser = options_of("tracking", __doc__)
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="scenes of each kind")
-    chosen = f"of the scenes; the constants were chosen with {TUNING_SEED} and later"
-    parser.add_argument("--first-seed", type=int, default=0, metavar="N", help=chosen)
-    parser.add_argument("--rendered", type=int, default=0, metavar="N", help="the same, in drawn images")
-    parser.add_argument("--oracle", type=Path, metavar="PYTHON", help="interpreter that has `trackers`")
-    return parser
+def measured(options: argparse.Namespace, _: Path) -> Figures:
+    """Identities in all scenes, printed as a table, then times."""
+    goals: list[Goal] = []
+    makers = [("simulated", simulated_cases, options.seeds), ("rendered", rendered_cases, options.rendered)]
+    for what, make_cases, seeds in makers:
+        if not seeds:
+            continue
+        cases = make_cases(range(options.first_seed, options.first_seed + seeds))
+        counts = {
+            "own": [counts_of(case.frames, own_ids(case.frames)) for case in cases],
+            "boxes": [counts_of(case.frames, own_ids(case.frames, with_camera=False)) for case in cases],
+        }
+        if options.oracle:
+            answers = oracle_ids(options.oracle, cases)
+            counts["oracle"] = [counts_of(case.frames, ids) for case, ids in zip(cases, answers, strict=True)]
+        print(f"{what}\n{identity_table(cases, counts)}\n")
+        goals += identity_goals(what, cases, counts)
+    rows = time_rows()
+    goals.append(Goal("50 objects [ms]", 0, rows[0].median, True, 1.0))
+    goals += [Goal(f"camera motion, {each.name} [ms]", 0, each.median, True, 1.5) for each in rows[3:]]
+    return rows, goals
+
+
+_CHOSEN = f"of the scenes; the constants were chosen with {TUNING_SEED} and later"
+PROGRAM = Program(
+    "tracking",
+    __doc__,
+    measured,
+    {
+        "--seeds": {"type": int, "default": 5, "help": "scenes of each kind"},
+        "--first-seed": {"type": int, "default": 0, "help": _CHOSEN},
+        "--rendered": {"type": int, "default": 0, "help": "the same, in drawn images"},
+        "--oracle": {"type": Path, "metavar": "PYTHON", "help": "interpreter that has `trackers`"},
+    },
+    is_judged=True,
+)
+parser = PROGRAM.parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(PROGRAM.main())

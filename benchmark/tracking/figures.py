@@ -1,14 +1,13 @@
-"""How well tracks keep identities: IDF1, HOTA and identity switches.
+"""How well tracks keep identities: IDF1 and identity switches.
 
 IDF1: Ristani et al., "Performance Measures and a Data Set for Multi-Target, Multi-Camera Tracking" (2016).
-HOTA: Luiten et al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking" (2020).
 Identity switches: Bernardin and Stiefelhagen, "Evaluating Multiple Object Tracking Performance" (2008).
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +17,7 @@ from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 MIN_IOU = 0.5
 """Of a track's box and a true one, for IDF1 and switches."""
-HOTA_IOUS = np.arange(1, 20) * 0.05
 _TINY = 1e-9  # a box of exactly the minimum IoU counts
-_ANY_PAIR = 1e4  # as many pairs as possible, among those the best association, among those the best IoU
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +30,7 @@ class JudgedFrame:
     track_boxes_xyxy: NDArray[np.float32]
 
 
-def _no_pairs() -> NDArray[np.float64]:
-    return np.zeros(len(HOTA_IOUS))
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class TrackCounts:
     """Counts from which the figures are computed; those of several recordings add up."""
 
@@ -49,10 +42,6 @@ class TrackCounts:
     """True boxes whose track is the best match of this identity, one to one."""
     switches: int = 0
     """How often an object continues with another id."""
-    matched: NDArray[np.float64] = field(default_factory=_no_pairs)
-    """Pairs of a true box and a tracked one, for each of HOTA_IOUS."""
-    association: NDArray[np.float64] = field(default_factory=_no_pairs)
-    """The sum of the association accuracy of these pairs."""
 
     def __add__(self, other: TrackCounts) -> TrackCounts:
         return TrackCounts(
@@ -60,8 +49,6 @@ class TrackCounts:
             self.tracked + other.tracked,
             self.identified + other.identified,
             self.switches + other.switches,
-            self.matched + other.matched,
-            self.association + other.association,
         )
 
     @property
@@ -69,13 +56,6 @@ class TrackCounts:
         """In [0, 1]; 1 without any box."""
         boxes = self.truths + self.tracked
         return 2 * self.identified / boxes if boxes else 1.0
-
-    @property
-    def hota(self) -> float:
-        """In [0, 1]; 1 without any box."""
-        boxes = self.truths + self.tracked - self.matched  # true positives, misses and false positives
-        accuracy = np.divide(self.association, boxes, out=np.ones_like(boxes), where=boxes > 0)
-        return float(np.sqrt(accuracy).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +67,10 @@ class _Overlap:
     iou: NDArray[np.float64]
     """(truths, tracks)."""
 
-    def together(self, min_iou: float, shape: tuple[int, int]) -> NDArray[np.float64]:
-        """(all truths, all tracks): 1 where a pair overlaps by at least `min_iou`."""
+    def together(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """(all truths, all tracks): 1 where a pair overlaps by at least MIN_IOU."""
         counts = np.zeros(shape)
-        counts[np.ix_(self.truths, self.tracks)] = self.iou >= min_iou - _TINY
+        counts[np.ix_(self.truths, self.tracks)] = self.iou >= MIN_IOU - _TINY
         return counts
 
 
@@ -107,14 +87,11 @@ def track_counts(frames: Sequence[JudgedFrame]) -> TrackCounts:
         for frame in frames
     ]
     shape = len(truth_numbers), len(track_numbers)
-    sums = [_hota_sums(overlaps, shape, min_iou) for min_iou in HOTA_IOUS]
     return TrackCounts(
         truths=sum(len(overlap.truths) for overlap in overlaps),
         tracked=sum(len(overlap.tracks) for overlap in overlaps),
         identified=_identified(overlaps, shape),
         switches=_switches(overlaps),
-        matched=np.array([matched for matched, _ in sums]),
-        association=np.array([association for _, association in sums]),
     )
 
 
@@ -123,7 +100,7 @@ def _numbers(names: Iterable[Hashable]) -> dict[Hashable, int]:
 
 
 def _identified(overlaps: Iterable[_Overlap], shape: tuple[int, int]) -> int:
-    together = sum((overlap.together(MIN_IOU, shape) for overlap in overlaps), np.zeros(shape))
+    together = sum((overlap.together(shape) for overlap in overlaps), np.zeros(shape))
     return int(together[linear_sum_assignment(together, maximize=True)].sum())
 
 
@@ -141,25 +118,3 @@ def _switches(overlaps: Iterable[_Overlap]) -> int:
                 switches += last.get(truth, track) != track
                 last[truth] = track
     return switches
-
-
-def _hota_sums(overlaps: Sequence[_Overlap], shape: tuple[int, int], min_iou: float) -> tuple[float, float]:
-    """Matched pairs, and the sum of their association accuracy, where a pair overlaps by `min_iou`."""
-    truth_boxes, track_boxes = np.zeros(shape[0]), np.zeros(shape[1])
-    possible = np.zeros(shape)
-    for overlap in overlaps:
-        truth_boxes[overlap.truths] += 1
-        track_boxes[overlap.tracks] += 1
-        possible += overlap.together(min_iou, shape)
-    boxes = truth_boxes[:, None] + track_boxes
-    best_accuracy = possible / (boxes - possible)
-
-    matched = np.zeros(shape)
-    for overlap in overlaps:
-        cells = np.ix_(overlap.truths, overlap.tracks)
-        wanted = _ANY_PAIR + best_accuracy[cells] + overlap.iou / _ANY_PAIR
-        score = np.where(overlap.iou >= min_iou - _TINY, wanted, 0)
-        rows, columns = linear_sum_assignment(score, maximize=True)
-        real = score[rows, columns] > 0
-        matched[overlap.truths[rows[real]], overlap.tracks[columns[real]]] += 1
-    return float(matched.sum()), float((matched**2 / (boxes - matched)).sum())

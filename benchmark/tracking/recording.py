@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -41,7 +40,6 @@ class RecordedFrame:
     truth_boxes_xyxy: NDArray[np.float32]
     camera: Similarity | None = None
     """What `CameraMotion` found, None without images."""
-    camera_ms: float = 0.0
 
 
 Detect = Callable[[View, ColourImage | None], Detections]
@@ -69,7 +67,6 @@ def recorded(
         if film is not None:
             image = ColourImage(scene.image(view, film.background(scene.camera(time_s))), "rgb")
         detections = detect(view, image)
-        begun_s = time.perf_counter()
         camera = None if image is None else motion.since_last(image, detections.boxes_xyxy)
         frames.append(
             RecordedFrame(
@@ -78,7 +75,6 @@ def recorded(
                 tuple(number for number, is_there in zip(truth_ids, there, strict=True) if is_there),
                 view.boxes_xyxy[there],
                 camera,
-                1000 * (time.perf_counter() - begun_s),
             )
         )
     return frames

@@ -12,8 +12,8 @@ from benchmark.tracking.scenes import View
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 
 _WEIGHTS = Path(__file__).parents[2] / "weights" / "shapes.safetensors"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -133,30 +133,30 @@ def serve(ros_domain: int, root: Path) -> Callable[..., ServedNode]:
     return serve
 
 
-@pytest.fixture
-def confined_node(serve: Callable[..., ServedNode], root: Path) -> Iterator[ServedNode]:
-    with serve(root / "inside" / MODEL, f"['{root}/inside']") as served:
-        yield served
+def test_a_node_refuses_weights_from_outside_in_every_state(
+    serve: Callable[..., ServedNode], root: Path
+) -> None:
+    inside, outside = root / "inside" / MODEL, root / "outside" / MODEL
+    with serve(outside, f"['{root}/inside']") as served:
+        assert not served.transition("configure")
+        served.wait_for_log(f"configure refused: {outside}: it does not lie in a folder")
+        assert served.set(weights=str(inside)) == (True, "")
+        served.bring_to("active")
+        refusals = []
+        for name in (MODEL, "missing.pt"):
+            done, reason = served.set(weights=f"{root}/outside/{name}")
+            assert not done
+            refusals.append(reason.replace(name, ""))
+        assert refusals[0] == refusals[1]
+        assert "does not lie in a folder" in refusals[0]
+        assert served.get("weights") == str(inside)
+        assert served.transition("deactivate")
+        assert served.set(weights=str(outside)) == (True, "")
+        assert not served.transition("activate")
+        served.wait_for_log("activate refused: ")
+        assert not served.set(weights_dirs=["/"])[0]
+        assert served.get("weights_dirs") == [f"{root}/inside"]
     assert served.escaped == []
-
-
-def test_a_running_node_refuses_weights_from_outside(confined_node: ServedNode, root: Path) -> None:
-    served = confined_node
-    served.bring_to("active")
-    refusals = []
-    for name in (MODEL, "missing.pt"):
-        done, reason = served.set(weights=f"{root}/outside/{name}")
-        assert not done
-        refusals.append(reason.replace(name, ""))
-    assert refusals[0] == refusals[1]
-    assert "does not lie in a folder" in refusals[0]
-    assert served.get("weights") == f"{root}/inside/{MODEL}"
-    assert served.transition("deactivate")
-    assert served.set(weights=f"{root}/outside/{MODEL}") == (True, "")
-    assert not served.transition("activate")
-    served.wait_for_log("activate refused: ")
-    assert not served.set(weights_dirs=["/"])[0]
-    assert served.get("weights_dirs") == [f"{root}/inside"]
 
 
 @pytest.mark.long
@@ -169,14 +169,6 @@ def test_a_packaged_model_may_be_allowed(
         done, reason = served.set(weights=f"{PACKAGED}/../README.md")
         assert not done
         assert "does not lie in a folder" in reason
-
-
-def test_configure_refuses_weights_from_outside(serve: Callable[..., ServedNode], root: Path) -> None:
-    with serve(root / "outside" / MODEL, f"['{root}/inside']") as served:
-        assert not served.transition("configure")
-        served.wait_for_log(f"configure refused: {root}/outside/{MODEL}: it does not lie in a folder")
-        assert served.set(weights=str(root / "inside" / MODEL)) == (True, "")
-        assert served.transition("configure")
 
 
 def test_invalid_folders_fail_configure_until_the_process_is_restarted(

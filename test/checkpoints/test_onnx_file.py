@@ -134,12 +134,6 @@ def test_the_cost_is_that_of_the_convolution() -> None:
     assert cost.multiply_adds == pytest.approx(8 * 3 * 320 * 640, rel=0.01)
 
 
-def test_a_cost_that_grows_out_of_proportion_is_refused_at_the_size_of_images() -> None:
-    export = read_onnx(hostile_onnx.every_place_with_every_other())
-    with pytest.raises(WeightsError, match="elements are computed"):
-        export_cost(export, (4096, 4096))
-
-
 @pytest.mark.long  # torch exports a network
 def test_the_cost_is_that_of_the_network() -> None:
     network = random_network(0, SMALL)

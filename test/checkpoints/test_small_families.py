@@ -69,6 +69,7 @@ def test_folding_leaves_the_predictions_as_they_are(architecture: Architecture) 
     expected = predictions(network)
     folded = fuse(fuse(network))
     assert not [module for module in folded.modules() if isinstance(module, nn.BatchNorm2d)]
+    assert not any(parameter.requires_grad for parameter in folded.parameters())
     torch.testing.assert_close(predictions(folded), expected, rtol=1e-3, atol=1e-4)
 
 

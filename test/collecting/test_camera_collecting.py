@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from support.candidates import CAT, SIZE_HW, found, look_of, rules
 
-from yolov5_lifecycle.collecting.camera_collecting import LOOK_PERIOD_S, CameraCollecting
-from yolov5_lifecycle.collecting.candidate import Candidate, Origin
-from yolov5_lifecycle.collecting.collector import Collector
+from yolov5_lifecycle.collecting.candidate import GAP_S, Candidate, Detail, Origin, Trigger, value_of
+from yolov5_lifecycle.collecting.collector import LOOK_PERIOD_S, CameraCollecting, Collector
 from yolov5_lifecycle.collecting.descriptors import MIN_IMAGES
-from yolov5_lifecycle.collecting.triggers import GAP_S, Detail, Trigger, value_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.images.image import ColourImage

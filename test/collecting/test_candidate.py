@@ -32,10 +32,6 @@ def test_labels_are_the_boxes_within_the_image(segments: bool) -> None:
     assert labels.boxes.class_ids.tolist() == [4, 4, 4]
 
 
-def test_without_objects_there_is_no_label() -> None:
-    assert label_text(found(), [0, 1]) == ""
-
-
 def masked(values: float) -> Detections:
     """A cat whose mask is the left half of its box if `values` is positive, nothing if it is negative."""
     prototypes = np.full((1, HEIGHT, WIDTH), -1, np.float32)

@@ -19,6 +19,7 @@ from support.candidates import CLASS_NAMES, RECORD, add, candidate, frames_of, i
 from support.started import started
 
 from yolov5_lifecycle.collecting import collected_files
+from yolov5_lifecycle.collecting.candidate import Detail, Trigger
 from yolov5_lifecycle.collecting.collected_files import (
     FRAMES,
     IMAGES,
@@ -30,7 +31,6 @@ from yolov5_lifecycle.collecting.collected_files import (
     recorded_images,
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
-from yolov5_lifecycle.collecting.triggers import Detail, Trigger
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 

@@ -13,11 +13,10 @@ import pytest
 from support.candidates import candidate, frames_of, look_of, rules
 
 from yolov5_lifecycle.collecting import collector as module
-from yolov5_lifecycle.collecting.candidate import Origin
+from yolov5_lifecycle.collecting.candidate import Detail, Origin, Pace, Trigger
 from yolov5_lifecycle.collecting.collected_files import CollectedFrame
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
-from yolov5_lifecycle.collecting.triggers import Detail, Pace, Trigger
 from yolov5_lifecycle.images.image import ColourImage
 
 PATIENCE_S = 60.0

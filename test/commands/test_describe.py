@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.checkpoint_builder import layers_of, official_model, saved, stripped
@@ -42,54 +40,6 @@ def written(folder: Path, checkpoint: object) -> Path:
     return path
 
 
-def activated(model: Any, *, shared: bool, inplace: bool) -> Any:
-    """`model` with SiLU as a version of YOLOv5 has it: one object for all or not, in place or not."""
-    one = nn.SiLU(inplace=inplace)
-    waiting = list(layers_of(model).values())
-    while waiting:
-        children = vars(waiting.pop())["_modules"]
-        waiting.extend(children.values())
-        if "act" in children:
-            children["act"] = one if shared else nn.SiLU(inplace=inplace)
-    return model
-
-
-def before_v6(activation: str) -> Any:
-    architecture = dataclasses.replace(SMALL_FAMILIES["cross-stage"], activation=activation)
-    return official_model(architecture, before_v6=True, kind="models.yolo.Model")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("make", "version"),
-    [
-        pytest.param(lambda: before_v6("LeakyReLU(0.1)"), "YOLOv5 v3.0", id="v3.0"),
-        pytest.param(lambda: before_v6("Hardswish"), "YOLOv5 v3.1", id="v3.1"),
-        pytest.param(lambda: before_v6("SiLU"), "YOLOv5 v4.0 or v5.0", id="v4.0"),
-        pytest.param(
-            lambda: activated(official_model(kind="models.yolo.Model"), shared=False, inplace=False),
-            "YOLOv5 v6.0",
-            id="v6.0",
-        ),
-        pytest.param(
-            lambda: activated(official_model(kind="models.yolo.Model"), shared=False, inplace=True),
-            "YOLOv5 v6.1",
-            id="v6.1",
-        ),
-        pytest.param(
-            lambda: activated(official_model(), shared=False, inplace=True), "YOLOv5 v6.2", id="v6.2"
-        ),
-        pytest.param(
-            lambda: activated(official_model(), shared=True, inplace=True), "YOLOv5 v7.0", id="v7.0"
-        ),
-    ],
-)
-def test_the_version_is_told_from_how_the_file_was_written(
-    make: Callable[[], Any], version: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert described(written(tmp_path, stripped(make())), capsys)["written by"] == version
-
-
 def test_layers_images_anchors_and_classes_are_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,7 +57,6 @@ def test_layers_images_anchors_and_classes_are_told(
 
     write_safetensors(read_checkpoint(path.read_bytes()), tmp_path / "a.safetensors")
     converted = described(tmp_path / "a.safetensors", capsys)
-    assert converted["written by"] == "convert"
     assert {label: converted[label] for label in ("images", "strides", "anchors", "classes")} == {
         label: facts[label] for label in ("images", "strides", "anchors", "classes")
     }
@@ -117,8 +66,7 @@ def test_a_model_that_segments_is_told_with_its_masks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
-    facts = described(written(tmp_path, stripped(activated(model, shared=True, inplace=True))), capsys)
-    assert facts["written by"] == "YOLOv5 v7.0"
+    facts = described(written(tmp_path, stripped(model)), capsys)
     assert facts["layers"].endswith("1 Segment")
     assert facts["masks"] == "8 prototypes, computed in 8 channels"
 
@@ -126,7 +74,6 @@ def test_a_model_that_segments_is_told_with_its_masks(
 def test_an_export_is_told_with_what_it_takes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "best.onnx").write_bytes(small_export(has_objectness=False, masks=4))
     facts = described(tmp_path / "best.onnx", capsys)
-    assert facts["written by"] == "an export to ONNX"
     assert facts["boxes"] == "without objectness"
     assert facts["images"] == "colour, 96x64, fp32, batches of 1"
     assert facts["masks"] == "4 prototypes"

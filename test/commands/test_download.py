@@ -91,13 +91,10 @@ def beginning_elsewhere(body: bytes, start: int) -> Behaviour:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("behave", [sending_ranges, sending], ids=["resumes", "sends all"])
-def test_whatever_the_server_makes_of_a_range_the_file_is_right(
-    folder: Path, checkpoint: bytes, behave: Callable[[bytes], Behaviour]
-) -> None:
+def test_from_a_server_that_knows_no_ranges_the_whole_file_is_taken(folder: Path, checkpoint: bytes) -> None:
     folder.mkdir(parents=True)
     unfinished(folder).write_bytes(checkpoint[:100])
-    with FileServer(behave(checkpoint)) as server:
+    with FileServer(sending(checkpoint)) as server:
         assert fetch_from(server, folder).path.read_bytes() == checkpoint
 
 

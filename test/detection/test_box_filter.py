@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.selection import selection
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.settings.settings import validated
 
 SIZE_HW = (200, 400)

@@ -15,12 +15,11 @@ from support.runtime_names import EVERY_RUNTIME
 from support.scripted_camera import PATIENCE_S
 from support.scripted_runtime import ScriptedRuntime
 
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
-from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
 EVERYTHING = Selection(confidence_threshold=0.01)
 
@@ -114,11 +113,6 @@ def test_warming_up_runs_each_network_input_size_of_several_cameras() -> None:
     assert shapes == [(480, 640, 3)] * 2 + [(384, 640, 3)] * 2 + [(640, 480, 3)] * 2
 
 
-def test_warming_up_finds_weights_that_give_no_numbers() -> None:
-    with pytest.raises(InferenceError, match="not finite"):
-        detector_of(predicting(rows(row(np.nan, 0, 1, 1, 0, 0, 0)))).warm_up([USUAL_SOURCE_HW])
-
-
 @pytest.fixture(scope="module")
 def detector() -> Detector:
     return load_detector(random_model(), device="cpu", runtime="torch", image_size=128)
@@ -152,15 +146,6 @@ def test_the_answer_depends_on_the_image_alone(detector: Detector) -> None:
         np.testing.assert_array_equal(first.boxes_xyxy, other.boxes_xyxy)
         np.testing.assert_array_equal(first.scores, other.scores)
         np.testing.assert_array_equal(first.class_ids, other.class_ids)
-
-
-def test_settings_that_no_model_can_obey_are_refused() -> None:
-    with pytest.raises(ValueError, match="Use 640 or 672"):
-        load_detector(random_model(), image_size=650)
-    with pytest.raises(ValueError, match=r"Runtime must be one of auto, torch, .*, found 'tensorrt'"):
-        load_detector(random_model(), runtime="tensorrt")
-    with pytest.raises(DeviceError, match="absent"):
-        load_detector(random_model(), device="cuda:99")
 
 
 @pytest.mark.long

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import (
     MAX_DRAWN,
@@ -23,7 +22,7 @@ from yolov5_lifecycle.detection.draw import (
 )
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import ColourImage, Order
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 
 NAMES = ("circle", "square", "triangle", "star")
 NONE = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))
@@ -43,9 +42,12 @@ def ink_of_class_1(pixels: NDArray[np.uint8]) -> int:
     return int((pixels[..., 0] > 100).sum())
 
 
-def test_an_image_without_detections_is_copied() -> None:
+@pytest.mark.parametrize(
+    "box_filter", [None, BoxFilter(min_box_size=9.0, region_anchor="foot")], ids=["none", "sizes"]
+)
+def test_an_image_without_detections_and_regions_is_copied(box_filter: BoxFilter | None) -> None:
     image = ColourImage(np.arange(60, dtype=np.uint8).reshape(4, 5, 3), "rgb")
-    drawn = annotate(image, NONE, NAMES)
+    drawn = annotate(image, NONE, NAMES, box_filter=box_filter)
     np.testing.assert_array_equal(drawn, image.pixels)
     assert not np.shares_memory(drawn, image.pixels)
 
@@ -219,14 +221,6 @@ def plain(level: int, height: int = SIDE, width: int = SIDE) -> ColourImage:
 
 def drawn(image: ColourImage, box_filter: BoxFilter) -> NDArray[np.uint8]:
     return annotate(image, NONE, ("cat",), box_filter=box_filter)
-
-
-@pytest.mark.parametrize(
-    "box_filter", [BoxFilter(), BoxFilter(min_box_size=9.0, region_anchor="foot")], ids=["none", "sizes"]
-)
-def test_without_regions_nothing_is_drawn(box_filter: BoxFilter) -> None:
-    image = plain(77)
-    np.testing.assert_array_equal(drawn(image, box_filter), image.pixels)
 
 
 @pytest.mark.parametrize("level", [0, 114, 255])

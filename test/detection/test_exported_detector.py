@@ -13,9 +13,8 @@ from support.onnx_exports import NAMES, small_export
 
 from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.detection.prepared_model import load_detector, prepare_model
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models import cost as models_cost
 from yolov5_lifecycle.settings.settings import Settings

@@ -14,26 +14,6 @@ from support.formula_model import expected_nms, formula_model, formula_pixels
 from yolov5_lifecycle.detection.nms import MAX_CANDIDATES, Selection, select
 
 EXPECTED = expected_nms()
-CASES = [
-    pytest.param(size, case, id=f"{size}-{number}")
-    for size, model in EXPECTED.items()
-    for number, case in enumerate(model["cases"])
-]
-
-
-@pytest.fixture(scope="module")
-def raw_predictions() -> dict[str, NDArray[np.float32]]:
-    return {size: raw_of(size) for size in EXPECTED}
-
-
-def raw_of(size: str) -> NDArray[np.float32]:
-    model = EXPECTED[size]
-    network = formula_model(
-        size, detect_gain=model["detect_gain"], objectness_bias=model["objectness_bias"]
-    ).network()
-    with torch.inference_mode():
-        raw: NDArray[np.float32] = network.eval()(formula_pixels(tuple(model["input_shape"])))[0].numpy()
-    return raw
 
 
 def selection_of(settings: dict[str, Any]) -> Selection:
@@ -51,11 +31,29 @@ def places(expected: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray
     return nearest
 
 
-@pytest.mark.parametrize(("size", "case"), CASES)
-def test_the_official_boxes_are_kept(
-    size: str, case: Any, raw_predictions: dict[str, NDArray[np.float32]]
-) -> None:
-    detections = select(raw_predictions[size], selection_of(case["settings"]))
+@pytest.fixture(scope="module")
+def raw(size: str) -> NDArray[np.float32]:
+    model = EXPECTED[size]
+    changes = {name: model[name] for name in ("detect_gain", "objectness_bias")}
+    network = formula_model(size, **changes).network().eval()
+    with torch.inference_mode():
+        return np.asarray(network(formula_pixels(tuple(model["input_shape"])))[0])
+
+
+@pytest.mark.parametrize(
+    ("size", "case"),
+    [
+        pytest.param(size, case, id=f"{size}-{number}")
+        for size, model in EXPECTED.items()
+        for number, case in enumerate(model["cases"])
+    ],
+    scope="module",
+)
+def test_the_official_boxes_enter_nms_and_are_kept(case: Any, raw: NDArray[np.float32]) -> None:
+    selection = selection_of(case["settings"])
+    everything = dataclasses.replace(selection, iou_threshold=1.0, max_detections=MAX_CANDIDATES)
+    assert len(select(raw, everything)) == case["candidates"]
+    detections = select(raw, selection)
     columns = (detections.boxes_xyxy, detections.scores, detections.class_ids)
     found: NDArray[np.float64] = np.column_stack(columns).astype(np.float64)
     expected = np.array(case["detections"])
@@ -63,13 +61,3 @@ def test_the_official_boxes_are_kept(
     np.testing.assert_allclose(found[:, :4], expected[:, :4], rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(found[:, 4:], expected[:, 4:], rtol=0, atol=1e-5)
     assert (np.diff(detections.scores) <= 0).all()
-
-
-@pytest.mark.parametrize(("size", "case"), CASES)
-def test_as_many_boxes_enter_nms_as_in_the_official_one(
-    size: str, case: Any, raw_predictions: dict[str, NDArray[np.float32]]
-) -> None:
-    keeping_all = dataclasses.replace(
-        selection_of(case["settings"]), iou_threshold=1.0, max_detections=MAX_CANDIDATES
-    )
-    assert len(select(raw_predictions[size], keeping_all)) == case["candidates"]

@@ -15,19 +15,17 @@ from support.scripted_runtime import ScriptedRuntime
 from yolov5_lifecycle.detection import lane_choice, prepared_model
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
-from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.prepared_model import most_lanes
+from yolov5_lifecycle.detection.prepared_model import load_detector, most_lanes
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import Settings
 
 VGA = (480, 640)
-PROCESSORS = 8
 
 
 @pytest.fixture(autouse=True)
 def _machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    set_processors(monkeypatch, PROCESSORS)
+    set_processors(monkeypatch, 8)
 
 
 def set_processors(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
@@ -98,24 +96,26 @@ def test_lanes_that_take_too_much_memory_are_not_used_and_the_reason_says_so() -
 
 
 @pytest.mark.parametrize(
-    ("cameras", "parallel_frames", "count", "reason"),
+    ("processors", "cameras", "parallel_frames", "count", "reason"),
     [
-        pytest.param(1, 0, 0, "1: there is only one camera", id="one camera"),
-        pytest.param(6, 1, 0, "1: as set", id="one at a time"),
-        pytest.param(6, 16, 6, "6: as set", id="no more than cameras"),
-        pytest.param(12, 16, 8, "8: as set", id="no more than processors"),
+        pytest.param(8, 1, 0, 0, "1: there is only one camera", id="one camera"),
+        pytest.param(1, 6, 0, 0, "1: there is one processor", id="one processor"),
+        pytest.param(8, 6, 1, 0, "1: as set", id="one at a time"),
+        pytest.param(8, 6, 16, 6, "6: as set", id="no more than cameras"),
+        pytest.param(8, 12, 16, 8, "8: as set", id="no more than processors"),
     ],
 )
 def test_nothing_is_measured_where_there_is_no_choice(
-    cameras: int, parallel_frames: int, count: int, reason: str
+    processors: int,
+    cameras: int,
+    parallel_frames: int,
+    count: int,
+    reason: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    set_processors(monkeypatch, processors)
     lanes = chosen(scripted(), with_cameras(cameras, parallel_frames), {})
     assert (len(lanes.detectors), lanes.reason) == (count, reason)
-
-
-def test_one_processor_serves_one_frame_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    set_processors(monkeypatch, 1)
-    assert chosen(scripted(), with_cameras(6), {}).reason == "1: there is one processor"
 
 
 @pytest.mark.parametrize(("quota", "count"), [(None, 8), (2.5, 3), (0.5, 1), (99.0, 8)])

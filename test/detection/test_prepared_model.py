@@ -23,29 +23,28 @@ from yolov5_lifecycle.settings.settings import Settings
 MAX_GROWN_MB = 100
 
 
+@pytest.fixture
+def tiny(tmp_path: Path) -> Settings:
+    """Settings of a model with random weights."""
+    write_safetensors(random_model(), tmp_path / "tiny.safetensors")
+    weights = str(tmp_path / "tiny.safetensors")
+    return Settings(weights=weights, image_size=64, runtime="torch", device="cpu")
+
+
 def networks() -> int:
     gc.collect()
     return sum(type(each) is Network for each in gc.get_objects())
 
 
-def test_a_model_that_cannot_predict_is_freed_even_while_its_error_is_kept(tmp_path: Path) -> None:
+def test_a_model_that_cannot_predict_is_freed_even_while_its_error_is_kept(tiny: Settings) -> None:
     model = random_model()
     model.state_dict["model.0.conv.weight"][:] = 3e38
-    path = tmp_path / "broken.safetensors"
-    write_safetensors(model, path)
+    write_safetensors(model, Path(tiny.weights))
     before = networks()
     with pytest.raises(InferenceError, match="not finite") as failure:
-        prepare_model(Settings(weights=str(path), image_size=64, runtime="torch"), [(64, 64)])
+        prepare_model(tiny, [(64, 64)])
     assert failure.value.__traceback__ is not None
     assert networks() == before
-
-
-@pytest.fixture
-def tiny(tmp_path: Path) -> Settings:
-    """Settings of a model with random weights."""
-    path = tmp_path / "tiny.safetensors"
-    write_safetensors(random_model(), path)
-    return Settings(weights=str(path), image_size=64, runtime="torch", device="cpu")
 
 
 def test_the_cost_is_told(tiny: Settings) -> None:

@@ -9,8 +9,8 @@ from support.colcon_workspace import REPOSITORY
 from tools.shapes.evaluate import IMAGES, UNSEEN_SEED, evaluate, moving, stills
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 

@@ -18,15 +18,7 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.evaluation import bootstrap
-from yolov5_lifecycle.evaluation.bootstrap import (
-    MIN_IMAGES,
-    RESAMPLES,
-    differences,
-    drawn_weights,
-    interval,
-    resampled,
-)
+from yolov5_lifecycle.evaluation import figures
 from yolov5_lifecycle.evaluation.curves import (
     MAX_NAMED,
     MAX_NUMBERED,
@@ -36,11 +28,18 @@ from yolov5_lifecycle.evaluation.curves import (
 )
 from yolov5_lifecycle.evaluation.figures import (
     METRICS,
+    MIN_IMAGES,
+    RESAMPLES,
     Counts,
+    Interval,
     confusion_matrix,
     counts_at,
+    differences,
+    drawn_weights,
+    interval,
     mean_of_classes,
     occurring,
+    resampled,
     rows,
     sweep,
 )
@@ -357,7 +356,7 @@ def test_a_goal_out_of_reach_is_reported_with_what_is_closest(tmp_path: Path) ->
 def test_a_resample_has_the_figures_of_the_images_that_were_drawn(
     crowds: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bootstrap, "MAX_ELEMENTS", 100)  # several portions
+    monkeypatch.setattr(figures, "MAX_ELEMENTS", 100)  # several portions
     images = random_images(0, 15, crowds=crowds)
     weights = drawn_weights(len(images), 8)
     samples = resampled(match(images, CLASS_NAMES), THRESHOLDS, weights)
@@ -376,9 +375,7 @@ def test_the_draws_are_the_same_in_every_run() -> None:
     np.testing.assert_array_equal(weights, drawn_weights(30))
 
 
-def compared(
-    first: list[EvaluatedImage], second: list[EvaluatedImage]
-) -> list[dict[str, bootstrap.Interval]]:
+def compared(first: list[EvaluatedImage], second: list[EvaluatedImage]) -> list[dict[str, Interval]]:
     return differences([match(images, CLASS_NAMES) for images in (first, second)], [THRESHOLDS, THRESHOLDS])
 
 

@@ -19,12 +19,14 @@ from support.colcon_workspace import SUPPORT_PATH
 from support.compressed_files import KINDS, compressed, smooth_file
 from support.hostile_images import FOREIGN_FILES, HOSTILE_JPEGS, HOSTILE_PNGS
 
+from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
 from fuzz.targets import check_compressed_image
-from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file
-from yolov5_lifecycle.images.file_structure import (
+from yolov5_lifecycle.images.compressed import (
     MAX_SCANNED_PX,
     MAX_SCANS,
     MAX_SEGMENTS,
+    decode_compressed,
+    decode_image_file,
     jpeg_structure,
     png_structure,
 )
@@ -171,6 +173,29 @@ def test_opencv_decodes_no_other_size_than_the_one_that_was_checked(rest: bytes)
         return
     pixels = cv2.imdecode(data, cv2.IMREAD_COLOR)
     assert pixels is None or pixels.shape[:2] == size_hw
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("make", "bytes_per_pixel"),
+    [
+        pytest.param(lambda side: jpeg.progressive(side, side, MAX_SCANNED_PX // side**2), 6, id="scans"),
+        pytest.param(
+            lambda side: jpeg.image(side, side, components=4, marker=jpeg.PROGRESSIVE), 11, id="coefficients"
+        ),
+        pytest.param(lambda side: png_builder.image(side, side), 6, id="png"),
+    ],
+)
+def test_the_costliest_images_that_are_accepted_are_decoded_in_bounded_memory(
+    make: Callable[[int], bytes], bytes_per_pixel: int
+) -> None:
+    """The image and one copy of it; or the image and the coefficients of four components."""
+    side = 8192
+    data = np.frombuffer(make(side), np.uint8)
+    before_mb = resident_mb(os.getpid())
+    forget_peak()
+    assert decode_compressed(data).size_hw == (side, side)
+    assert peak_resident_mb(os.getpid()) - before_mb < bytes_per_pixel * side**2 / 2**20 + 100
 
 
 LIMITED = """

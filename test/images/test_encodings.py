@@ -98,12 +98,6 @@ def half_chroma(u: int, v: int) -> Callable[[Sent, int, int], Rgb]:
     return pixel
 
 
-def full_chroma(sent: Sent, row: int, column: int) -> Rgb:
-    """A luma plane, then rows twice as long with a pair of chroma values for each pixel."""
-    below = sent.height + 2 * row
-    return rgb_of_yuv(sent.byte(row, column), sent.byte(below, 2 * column), sent.byte(below, 2 * column + 1))
-
-
 def high_byte(sent: Sent, row: int, column: int) -> Rgb:
     return grey(sent.word(row, column) // 256)
 
@@ -152,7 +146,6 @@ REFERENCES: dict[str, Callable[[Sent, int, int], Rgb]] = {
     "yuv422_yuy2": chroma_pairs(0, 1, 3),
     "nv12": half_chroma(0, 1),
     "nv21": half_chroma(1, 0),
-    "nv24": full_chroma,
     "bayer_rggb8": mosaic("rggb"),
     "bayer_bggr8": mosaic("bggr"),
     "bayer_gbrg8": mosaic("gbrg"),
@@ -216,7 +209,7 @@ def test_another_encoding_is_refused_with_what_is_supported(encoding: str) -> No
         pytest.param({"height": 3}, "need 18 bytes, found 12", id="a row too few"),
         pytest.param({"encoding": "mono16", "step": 3}, "step >= 4, found 3", id="a byte for each word"),
         pytest.param({"encoding": "yuyv", "width": 3}, "blocks of 1 x 2.*found 2 x 3", id="half a pair"),
-        pytest.param({"encoding": "nv24", "step": 4}, "need 22 bytes, found 12", id="no room for chroma"),
+        pytest.param({"encoding": "nv12", "step": 6}, "need 14 bytes, found 12", id="no room for chroma"),
         pytest.param({"encoding": "bayer_rggb8"}, "at least 3 pixels, found 2 x 2", id="a tiny mosaic"),
     ],
 )

@@ -8,13 +8,10 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from support.random_model import TINY, random_network
-from support.small_families import EVERY_SMALL
 from torch import nn
 
-from yolov5_lifecycle.models.architecture import SIZES, Architecture
+from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.models.blocks import SPP
 from yolov5_lifecycle.models.convolutions import Focus
 from yolov5_lifecycle.models.network import Network, fuse
@@ -74,18 +71,6 @@ def test_decoding_follows_the_formula() -> None:
     assert next(rows, None) is None
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("architecture", [TINY, *EVERY_SMALL.values()], ids=["tiny", *EVERY_SMALL])
-@settings(max_examples=3)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_fusing_leaves_the_predictions_as_they_are(architecture: Architecture, seed: int) -> None:
-    network = random_network(seed, architecture)
-    pixels = torch.rand(1, architecture.image_channels, 64, 96, generator=torch.Generator().manual_seed(seed))
-    with torch.inference_mode():
-        expected = network(pixels)
-        torch.testing.assert_close(fuse(network)(pixels), expected, rtol=1e-3, atol=1e-3)
-
-
 @pytest.mark.parametrize("stride", [1, 2, 4])
 def test_a_focus_has_its_stride_after_taking_every_second_pixel(stride: int) -> None:
     focus = Focus(3, 8, 3, stride)
@@ -99,12 +84,6 @@ def test_pooling_with_small_windows_one_after_the_other_is_pooling_with_every_wi
         narrow = spp.cv1(pixels)
         expected = spp.cv2(torch.cat([narrow, *(pool(narrow) for pool in spp.m.children())], dim=1))
         assert torch.equal(spp(pixels), expected)
-
-
-def test_fusing_removes_every_normalisation_and_may_be_repeated() -> None:
-    network = fuse(fuse(random_network(0)))
-    assert not [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
-    assert not any(parameter.requires_grad for parameter in network.parameters())
 
 
 def test_predictions_of_half_layers_are_decoded_in_full_precision() -> None:

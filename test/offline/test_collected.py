@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from support.candidates import CLASS_NAMES, add, candidate, found, frames_of, images_of, keep
 
 from yolov5_lifecycle.collecting import collected_files
+from yolov5_lifecycle.collecting.candidate import Detail, Trigger
 from yolov5_lifecycle.collecting.collected_files import FRAMES, LABELS, CollectedFrame, file_of
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
-from yolov5_lifecycle.collecting.triggers import Detail, Trigger
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.collected import command
@@ -336,6 +336,7 @@ def test_nothing_is_removed_while_a_detector_collects(
         (["remove", "."], "remove needs --session or --reason"),
         (["split", ".", "--share", "1"], "between 0 and 1"),
         (["sheet", ".", "--output", "x", "--most", "0"], "from 1 to 10000"),
+        (["sheet", ".", "--output", "x", "--most", "all"], "expected a number of images from 1 to 10000"),
         ([], "ACTION"),
     ],
 )

@@ -10,31 +10,17 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin
-from support.detected_offline import SET_MODEL, run
+from support.detected_offline import SET_MODEL, prepare_raising, run
 from support.grey_images import grey_folder
 from support.recorded_scene import COUNT, images, raw, record, text, video
-from support.scripted_runtime import ScriptedRuntime
 
-from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detect_recording import os_errors
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
-from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
-
-
-def prepare_raising(error: BaseException) -> Prepare:
-    def run() -> NDArray[np.float32]:
-        raise error
-
-    detector = Detector(ScriptedRuntime(run), class_names=CLASS_NAMES, image_size=320, stride=32)
-    return lambda settings, _: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detecting import OfflineDetector
+from yolov5_lifecycle.offline.detecting import OfflineDetector, prepared_for
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.offline.terminal import report
@@ -48,8 +48,7 @@ from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackedDetection
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 DETECTIONS, MASKS, DRAWN = "/yolov5/detections", "/yolov5/masks", "/yolov5/image"
@@ -250,7 +249,7 @@ def test_images_that_are_late_are_detected_but_not_tracked(
 ) -> None:
     quiet: Any = SimpleNamespace(progress=lambda _: None)
     settings = SETTINGS.model_copy(update={"tracker": "bytetrack"})
-    offline = OfflineDetector(settings, quiet, with_masks=False, prepare=prepare_once)
+    offline = OfflineDetector(settings, prepared_for(settings, prepare_once), quiet, with_masks=False)
     image = scene(0)
     stored: list[Any] = [SimpleNamespace(stamp_s=stamp_s, load=lambda: image) for stamp_s in stamps_s]
     found: list[str] = []

@@ -22,7 +22,7 @@ from yolov5_lifecycle import outside_yaml
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.offline import stored_messages
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
-from yolov5_lifecycle.offline.recording import TYPES, RecordedImage, RecordingError, open_recording
+from yolov5_lifecycle.offline.recording import TYPES, RecordedMessage, RecordingError, open_recording
 from yolov5_lifecycle.offline.recordings import is_recording
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
@@ -35,9 +35,9 @@ STATISTICS = statistics({1: COUNT})
 LIDAR = channel(2, "/lidar", "foxglove.PointCloud", encoding="protobuf")
 
 
-def images(path: Path) -> list[RecordedImage]:
+def images(path: Path) -> list[RecordedMessage]:
     with open_recording(path) as recording:
-        return list(recording.images(recording.image_topic()))
+        return list(recording.messages(recording.image_topic()))
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_damaged_messages_are_rejected_one_by_one(type_name: str) -> None:
         damaged[generator.integers(0, len(data), 8)] = generator.integers(0, 256, 8)
         cut = damaged[: generator.integers(0, len(data))].tobytes()
         with pytest.raises(ImageError):
-            RecordedImage(0, type_name, cut).load()
+            RecordedMessage(0, type_name, cut, 0).load()
 
 
 @pytest.fixture
@@ -395,6 +395,12 @@ def test_a_source_is_read_from_any_path(source: str, sqlite_drive: Path) -> None
         (drive / "drive.db3").rename(source)
     assert run([source, "--output", "found", *SET_MODEL]) == 0
     assert messages(Path("found"))
+
+
+def test_the_storage_is_that_of_the_files_that_are_read(sqlite_drive: Path) -> None:
+    (sqlite_drive / "stray.mcap").touch()
+    with open_recording(sqlite_drive) as recording:
+        assert recording.storage is SQLITE
 
 
 def test_a_recording_cannot_name_a_database_outside_of_its_folder(sqlite_drive: Path) -> None:

@@ -47,13 +47,10 @@ DAMAGED: dict[str, tuple[Callable[[], bytes], str]] = {
     "no text": (lambda: b"\xff\xfe\x00", "Invalid JSON"),
     "another format": (with_(format="yolov5_lifecycle calibration 4"), "format"),
     "no ranges at all": (with_(ranges=None), "ranges: Field required"),
-    "no digest": (with_(weights_sha256="best"), "weights_sha256"),
-    "a range of three numbers": (with_(ranges={"x": [0.0, 1.0, 2.0]}), "ranges.x"),
     "not a number": (of_one_layer(0.0, float("nan")), "ranges.x.1"),
     "of zero width": (of_one_layer(0.0, 0.0), r"expected \[low, high\] with low <= 0 <= high"),
     "upside down": (of_one_layer(1.0, -1.0), r"expected \[low, high\] with low <= 0 <= high"),
     "means of other layers": (with_(means={"x": [0.5]}), "means: expected those of the same convolutions"),
-    "an image size of 0": (with_(image_size=0), "image_size"),
     "control characters": (with_(format="\x1b[31mred"), "format"),
     "too large": (lambda: b" " * (MAX_FILE_BYTES + 1), "the limit"),
 }

@@ -14,8 +14,7 @@ from tools.shapes.evaluate import UNSEEN_SEED, evaluate, moving, stills
 from yolov5_lifecycle import load_model
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.detection.prepared_model import load_detector, prepare_model
 from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.quantization.calibration_file import (

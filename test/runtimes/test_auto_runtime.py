@@ -8,6 +8,7 @@ import os
 import pwd
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.random_model import TINY, random_model
@@ -31,18 +32,16 @@ def measured(*_: object, **__: object) -> dict[str, float]:
     return {name: 100.0 / (index + 1) for index, name in enumerate(INSTALLED)}
 
 
-def chosen(folder: Path, frame_hw: tuple[int, int] = (64, 96)) -> Choice:
-    return choose_runtime(
-        random_model(), device="cpu", precision="auto", frame_hw=frame_hw, folder=folder, measure=measured
-    )
+def chosen(folder: Path | None, **changed: Any) -> Choice:
+    """By `measured`, unless it is `changed`."""
+    usual: dict[str, Any] = {"device": "cpu", "precision": "auto", "frame_hw": (64, 96), "measure": measured}
+    return choose_runtime(random_model(), folder=folder, **usual | changed)
 
 
 @pytest.mark.long
 @needs_choice
 def test_every_installed_runtime_is_measured_and_the_fastest_taken(tmp_path: Path) -> None:
-    choice = choose_runtime(
-        random_model(), device="cpu", precision="auto", frame_hw=(64, 96), folder=tmp_path
-    )
+    choice = chosen(tmp_path, measure=None)
     (record,) = tmp_path.iterdir()
     figures_ms = json.loads(record.read_text())
     assert sorted(figures_ms) == sorted(INSTALLED)
@@ -66,15 +65,7 @@ def test_every_installed_runtime_is_measured_and_the_fastest_taken(tmp_path: Pat
 def test_of_nearly_equal_runtimes_the_one_least_slowed_by_other_processes_is_chosen(
     tmp_path: Path, figures_ms: dict[str, float], chosen_runtime: str
 ) -> None:
-    choice = choose_runtime(
-        random_model(),
-        device="cpu",
-        precision="auto",
-        frame_hw=(64, 96),
-        folder=tmp_path,
-        measure=lambda *_, **__: figures_ms,
-    )
-    assert choice.runtime == chosen_runtime
+    assert chosen(tmp_path, measure=lambda *_, **__: figures_ms).runtime == chosen_runtime
 
 
 @needs_choice
@@ -86,7 +77,7 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     assert again.runtime == "torch"
     assert again.reason.startswith("torch 1.5 ms, ")
     assert again.reason.endswith(f"; cached in {record}")
-    assert chosen(tmp_path, (96, 64)).reason.endswith("; measured now")
+    assert chosen(tmp_path, frame_hw=(96, 64)).reason.endswith("; measured now")
 
 
 @needs_choice
@@ -126,9 +117,7 @@ def test_a_user_without_a_home_folder_lacks_the_memory_only(monkeypatch: pytest.
     monkeypatch.setattr(pwd, "getpwuid", unknown)
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
-    choice = choose_runtime(
-        random_model(), device="cpu", precision="auto", frame_hw=(64, 96), measure=measured
-    )
+    choice = chosen(None)
     assert choice.runtime == INSTALLED[-1]
     assert choice.reason.endswith("; measured now, not cached: Could not determine home directory.")
 
@@ -138,15 +127,12 @@ def test_a_user_without_a_home_folder_lacks_the_memory_only(monkeypatch: pytest.
 )
 def test_what_no_runtime_can_do_is_refused(tmp_path: Path, device: str, precision: str) -> None:
     with pytest.raises(DeviceError):
-        choose_runtime(random_model(), device=device, precision=precision, frame_hw=(64, 64), folder=tmp_path)
+        chosen(tmp_path, device=device, precision=precision)
 
 
 @pytest.mark.parametrize("precision", ["int8", "bf16"])
 def test_what_one_runtime_computes_is_not_measured(tmp_path: Path, precision: str) -> None:
-    choice = choose_runtime(
-        random_model(), device="cpu", precision=precision, frame_hw=(64, 64), folder=tmp_path
-    )
-    assert choice == Choice("openvino", f"the only one for {precision}")
+    assert chosen(tmp_path, precision=precision) == Choice("openvino", f"the only one for {precision}")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -203,10 +189,7 @@ def test_a_runtime_that_fails_when_imported_is_not_chosen_and_says_why(
         raise AttributeError("_ARRAY_API not found")
 
     monkeypatch.setattr(registry, "_engine", fail)
-    choice = choose_runtime(
-        random_model(), device="cpu", precision="auto", frame_hw=(64, 64), folder=tmp_path
-    )
-    assert choice.runtime == "torch"
+    assert chosen(tmp_path, measure=None).runtime == "torch"
     assert "Runtime 'onnxruntime' was not measured, because it failed" in caplog.text
     assert "Runtime 'onnxruntime' cannot be imported (AttributeError: _ARRAY_API not found)" in caplog.text
     assert "-m pip install --force-reinstall onnxruntime onnx, or use 'auto'." in caplog.text

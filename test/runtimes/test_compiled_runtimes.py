@@ -18,8 +18,8 @@ from support.runtime_names import COMPILED_RUNTIMES
 from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.model import Model
@@ -29,8 +29,6 @@ from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.sources.scene import Scene
 
-TINY_P6 = dataclasses.replace(SIZES["n6"], width_multiple=0.125, classes=len(CLASS_NAMES))
-TINY_DEEP = dataclasses.replace(TINY, depth_multiple=1.0, classes=1)
 DETECT_ALONE = dataclasses.replace(
     TINY, anchors_px=(((10, 13), (16, 30)),), strides=(1,), layers=(Layer((-1,), 1, "Detect"),)
 )
@@ -63,8 +61,6 @@ def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float
 @pytest.mark.parametrize(
     "architecture",
     [
-        pytest.param(TINY_P6, id="four levels"),
-        pytest.param(TINY_DEEP, id="repeated bottlenecks, one class"),
         pytest.param(DETECT_ALONE, id="no layer but the last"),
         pytest.param(PIXELS_TWICE, id="a first layer that joins the image with itself"),
     ],
@@ -99,13 +95,6 @@ def test_sizes_may_alternate_without_end(runtime_name: str) -> None:
     for width in [*range(32, 257, 32), 32, 64]:
         frame = random_frame(64, width)
         assert_same_predictions(runtime(frame, "rgb").rows, torch_runtime(frame, "rgb").rows)
-
-
-def test_what_was_resolved_can_be_read(runtime_name: str) -> None:
-    detector = load_detector(random_model(), runtime=runtime_name, image_size=64)
-    runtime = detector.runtime
-    assert (runtime.name, runtime.device, runtime.precision) == (runtime_name, "cpu", "fp32")
-    assert detector.choice == "as set"
 
 
 def test_a_gpu_or_half_numbers_are_refused(runtime_name: str) -> None:

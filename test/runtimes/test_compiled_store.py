@@ -154,20 +154,26 @@ def predictions(model: Model, runtime_name: str, frame: NDArray[np.uint8] = FRAM
 
 
 @pytest.mark.long
-def test_other_weights_sizes_and_architectures_are_compiled_by_themselves(
-    runtime_name: str, cache: Path
+def test_whatever_a_compiled_model_depends_on_is_compiled_for_by_itself(
+    runtime_name: str, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model = random_model(1)
-    for _ in range(2):
-        predictions(model, runtime_name)
-    assert len(list(cache.iterdir())) == 1
-    predictions(random_model(2), runtime_name)
-    assert len(list(cache.iterdir())) == 2
-    predictions(model, runtime_name, FRAME[:, :64])
-    assert len(list(cache.iterdir())) == 3
     other = dataclasses.replace(TINY, strides=(8, 16, 32), anchors_px=TINY.anchors_px[::-1])
-    predictions(Model(other, model.class_names, model.state_dict), runtime_name)
-    assert len(list(cache.iterdir())) == 4
+    counts = []
+    for compiled, frame in (
+        (model, FRAME),
+        (model, FRAME),
+        (random_model(2), FRAME),
+        (model, FRAME[:, :64]),
+        (Model(other, model.class_names, model.state_dict), FRAME),
+    ):
+        predictions(compiled, runtime_name, frame)
+        counts.append(len(list(cache.iterdir())))
+    for part in ("processor", "installed_build"):
+        monkeypatch.setattr(compiled_runtime, part, lambda *_: "another")
+        predictions(model, runtime_name)
+        counts.append(len(list(cache.iterdir())))
+    assert counts == [1, 1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.long
@@ -182,17 +188,6 @@ def test_a_second_load_runs_what_the_first_has_compiled(runtime_name: str, cache
     (file,) = cache.iterdir()
     file.write_bytes(compiled)
     assert not np.allclose(predictions(other, runtime_name), predictions(other, "torch"), atol=0.01)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("part", ["processor", "installed_build"])
-def test_another_processor_or_build_is_compiled_for_by_itself(
-    part: str, runtime_name: str, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    predictions(random_model(1), runtime_name)
-    monkeypatch.setattr(compiled_runtime, part, lambda *_: "another")
-    predictions(random_model(1), runtime_name)
-    assert len(list(cache.iterdir())) == 2
 
 
 @pytest.mark.long

@@ -76,7 +76,9 @@ def features_of(network: Network, frame: NDArray[np.uint8]) -> list[torch.Tensor
 def test_all_rows_are_those_of_the_network_and_their_order_of_colours_makes_no_difference(
     runtime: Runtime, every_row: NDArray[np.float32]
 ) -> None:
-    rows = runtime(FRAME, "rgb").rows
+    predictions = runtime(FRAME, "rgb")
+    rows = predictions.rows
+    assert predictions.compute_prototypes is None
     np.testing.assert_allclose(rows, every_row, rtol=1e-3, atol=1e-3)
     np.testing.assert_array_equal(rows, runtime(FRAME[..., ::-1].copy(), "bgr").rows)
     assert not np.array_equal(rows, runtime(FRAME, "bgr").rows)
@@ -184,10 +186,6 @@ def test_frames_predictions_and_prototypes_stay_as_they_are(segmenting: Runtime)
         prototypes(segmenting(FRAMES[1], order))
     for now, then in zip(kept, before, strict=True):
         np.testing.assert_array_equal(now, then)
-
-
-def test_a_network_that_detects_has_no_prototypes(runtime: Runtime) -> None:
-    assert runtime(FRAME, "rgb").compute_prototypes is None
 
 
 def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime_name: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import weakref
 
-import numpy as np
 import pytest
 import torch
 from support.random_model import TINY, random_frame, random_model, random_network
@@ -39,12 +38,9 @@ class FailingNetwork(Network):
         raise self.error
 
 
-def test_cpu_is_always_there() -> None:
+def test_auto_is_the_first_cuda_device_else_the_cpu_which_is_always_there() -> None:
     assert resolve_device("cpu") == CPU
     assert devices_present()[0] == "cpu"
-
-
-def test_auto_is_the_first_cuda_device_else_the_cpu() -> None:
     assert str(resolve_device("auto")) == ("cuda:0" if torch.cuda.is_available() else "cpu")
 
 
@@ -72,10 +68,8 @@ def test_another_word_is_no_device(word: str) -> None:
         ("auto", "cpu", torch.float32),
         ("auto", "cuda:1", torch.float16),
         ("auto", "mps", torch.float32),
-        ("fp32", "cpu", torch.float32),
         ("fp32", "cuda", torch.float32),
         ("fp16", "cuda", torch.float16),
-        ("fp16", "mps", torch.float16),
     ],
 )
 def test_precision_is_resolved_for_the_device(precision: str, device: str, dtype: torch.dtype) -> None:
@@ -88,17 +82,6 @@ def test_precision_is_resolved_for_the_device(precision: str, device: str, dtype
 def test_a_precision_that_cannot_be_is_refused(precision: str, reason: str) -> None:
     with pytest.raises(DeviceError, match=reason):
         resolve_precision(precision, CPU)
-
-
-@pytest.mark.parametrize("size_hw", [(32, 32), (160, 64)], ids=str)
-def test_predictions_are_those_of_the_network_as_it_was_trained(size_hw: tuple[int, int]) -> None:
-    frame = random_frame(*size_hw)
-    pixels = torch.from_numpy(frame).permute(2, 0, 1)[None] / 255
-    with torch.inference_mode():
-        expected = random_network(5)(pixels)[0].numpy()
-    raw = TorchRuntime.load(random_model(5), device="cpu", precision="auto")(frame, "rgb").rows
-    assert raw.dtype == np.float32
-    np.testing.assert_allclose(raw, expected, rtol=1e-3, atol=1e-3)
 
 
 def test_loading_leaves_the_model_as_it_was() -> None:

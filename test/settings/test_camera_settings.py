@@ -48,7 +48,6 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
         ),
         pytest.param(("a" * 1_000_000,), "at most 64 letters", id="endless"),
         pytest.param(("front", "rear", "front"), "each camera once: leave out one 'front'", id="repeated"),
-        pytest.param(("lazy",), "must not hold 'lazy', the name of a setting", id="setting"),
         pytest.param(("image",), "must not hold 'image', the name of a topic", id="topic"),
         pytest.param(("detection",), "'detection', the name of the status of the node in", id="status"),
         pytest.param(("qos_overrides",), "the name of a parameter of ROS: rename that", id="qos"),
@@ -178,9 +177,10 @@ def test_a_problem_of_the_node_is_not_repeated_for_every_camera() -> None:
 
 
 def test_every_problem_is_reported_at_once() -> None:
-    values = {"max_rate": -1.0, "front.lazy": 1, "rear.depth": 1, "side.lazy": True, "wieghts": "x"}
+    of_node = {"max_rate": -1.0, "image_size": 7, "wieghts": "x"}
+    values = {**of_node, "front.lazy": 1, "rear.depth": 1, "side.lazy": True}
     names = [problem.partition(":")[0] for problem in problems({**FRONT_AND_REAR, **values})]
-    assert names == ["max_rate", "wieghts", "front.lazy", "rear.depth", "side.lazy"]
+    assert names == ["image_size", "max_rate", "wieghts", "front.lazy", "rear.depth", "side.lazy"]
 
 
 # With the classes of a model

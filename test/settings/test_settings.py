@@ -79,17 +79,6 @@ def test_an_unknown_name_is_shown_in_one_short_line() -> None:
     assert len(problem) < 200
 
 
-def test_every_broken_field_is_reported_at_once() -> None:
-    with pytest.raises(SettingsError) as refusal:
-        validated({"confidence_threshold": 2, "model_size": "q", "image_size": 7, "wieghts": "x"})
-    assert [problem.setting for problem in refusal.value.problems] == [
-        "model_size",
-        "image_size",
-        "confidence_threshold",
-        "wieghts",
-    ]
-
-
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
     with pytest.raises(SettingsError, match=r"confidence_treshold: .*Did you mean 'confidence_threshold'"):
         validated({"confidence_treshold": 0.5})

@@ -42,23 +42,16 @@ def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        pytest.param("image_width: 640", "image_width: 0", "image_width: Input should be greater", id="size"),
-        pytest.param(
-            "plumb_bob", "fisheye", "'plumb_bob', 'rational_polynomial' or 'equidistant'", id="model"
-        ),
         pytest.param(
             "0, 0, 1]\ndist", "0, 0]\ndist", "camera_matrix.data: Tuple should have at least 9 items", id="8"
+        ),
+        pytest.param(
+            "plumb_bob", "fisheye", "'plumb_bob', 'rational_polynomial' or 'equidistant'", id="model"
         ),
         pytest.param(
             "438.78", ".nan", "camera_matrix.data.0: Input should be a finite number", id="no number"
         ),
         pytest.param("438.78", "0", "expected focal lengths above 0", id="not calibrated"),
-        pytest.param(
-            "rows: 3\n  cols: 4",
-            "rows: 4\n  cols: 3",
-            "projection_matrix.rows: Input should be 3",
-            id="shape",
-        ),
         pytest.param(
             "plumb_bob", "equidistant", "expected 4 for equidistant, found 5", id="number of coefficients"
         ),

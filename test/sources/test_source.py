@@ -44,38 +44,21 @@ def test_the_scene_comes_with_its_truth() -> None:
         assert (frame.truth.boxes_xyxy == truth.boxes_xyxy).all()
 
 
-@pytest.mark.parametrize("source", ["folder", "video"])
-def test_files_come_in_order_and_end(source: str, request: pytest.FixtureRequest) -> None:
-    assert greys(request.getfixturevalue(source), 10, loop=False) == [*GREYS]
-
-
-@pytest.mark.parametrize("source", ["folder", "video"])
-def test_files_repeat_with_loop(source: str, request: pytest.FixtureRequest) -> None:
-    assert greys(request.getfixturevalue(source), 10, loop=True) == [*GREYS, *GREYS, *GREYS[:2]]
+@pytest.mark.parametrize(("source", "rate_hz"), [("video", 10.0), ("folder", 30.0)])
+def test_files_come_in_order_once_or_again_at_their_rate_and_in_the_size_that_is_asked_for(
+    source: str, rate_hz: float, request: pytest.FixtureRequest
+) -> None:
+    path = request.getfixturevalue(source)
+    assert greys(path, 10, loop=False) == [*GREYS]
+    assert greys(path, 10, loop=True) == [*GREYS, *GREYS, *GREYS[:2]]
+    assert open_source(str(path)).rate_hz == pytest.approx(rate_hz)
+    frames = [next(open_source(str(path), size_hw=size_hw).frames) for size_hw in (None, (12, 40))]
+    assert [frame.image.size_hw for frame in frames] == [(24, 32), (12, 40)]
 
 
 def test_one_image_is_a_source(folder: Path) -> None:
     assert greys(folder / "10.png", 3, loop=True) == [170, 170, 170]
     assert greys(folder / "10.png", 3, loop=False) == [170]
-
-
-@pytest.mark.parametrize("source", ["folder", "video"])
-def test_images_of_files_get_the_size_that_was_asked_for(source: str, request: pytest.FixtureRequest) -> None:
-    path = request.getfixturevalue(source)
-    frames = [next(open_source(str(path), size_hw=size_hw).frames) for size_hw in (None, (12, 40))]
-    assert [frame.image.size_hw for frame in frames] == [(24, 32), (12, 40)]
-
-
-@pytest.mark.parametrize(("source", "rate_hz"), [("video", 10.0), ("folder", 30.0)])
-def test_a_video_has_its_own_rate_and_images_a_usual_one(
-    source: str, rate_hz: float, request: pytest.FixtureRequest
-) -> None:
-    assert open_source(str(request.getfixturevalue(source))).rate_hz == pytest.approx(rate_hz)
-
-
-def test_a_source_that_is_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"no/such\.mp4' is neither 'synthetic'"):
-        open_source(str(tmp_path / "no/such.mp4"))
 
 
 def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.background import is_background
-from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, sampled
+from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, is_background, sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.surface import surfaces_m
 

@@ -30,14 +30,14 @@ _ARGUMENTS = (
 
 
 @contextmanager
-def chromium(profile: Path, *, size_wh: tuple[int, int] = DESKTOP) -> Iterator[Chrome]:
+def chromium(profile: Path) -> Iterator[Chrome]:
     """A browser whose profile is the empty folder `profile`; skips the test where there is none."""
     program, driver_program = shutil.which("chromium"), shutil.which("chromedriver")
     if program is None or driver_program is None:
         pytest.skip("no Chromium here: apt-get install chromium chromium-driver")
     options = ChromeOptions()
     options.binary_location = program
-    width, height = size_wh
+    width, height = DESKTOP
     for argument in (*_ARGUMENTS, f"--user-data-dir={profile}", f"--window-size={width},{height}"):
         options.add_argument(argument)
     # The path is given, so Selenium looks for no driver, and downloads none.

@@ -86,12 +86,7 @@ class CameraClient:
 
     def detections_of(self, header: Header) -> Detection2DArray:
         """The detections with this header."""
-
-        def found() -> list[Detection2DArray]:
-            return [message for message in self.detections if message.header == header]
-
-        self.served.wait_for(lambda: bool(found()), f"the detections of {self.name}")
-        return found()[0]
+        return self.served.received(self.detections, header, f"the detections of {self.name}")
 
     def track(self) -> str:
         """Send images until the only object in them has an id."""
@@ -100,11 +95,11 @@ class CameraClient:
 
     def values(self) -> dict[str, str]:
         """The values of the camera's next diagnostic status."""
-        return {item.key: item.value for item in self.served.statuses()[self.name].values}
+        return self.served.values(self.name)
 
     def counts(self) -> dict[str, int]:
         """Frames by what became of them."""
-        return self.served.counts_of(self.values())
+        return self.served.counts(self.name)
 
 
 class DepthClient(CameraClient):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.collecting.candidate import Candidate, Origin
+from yolov5_lifecycle.collecting.candidate import Candidate, CollectRules, Detail, Origin, Pace, Trigger
 from yolov5_lifecycle.collecting.collected_files import (
     CollectedFrame,
     CollectedObject,
@@ -20,7 +20,6 @@ from yolov5_lifecycle.collecting.collected_files import (
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
 from yolov5_lifecycle.collecting.descriptors import SHADES
-from yolov5_lifecycle.collecting.triggers import CollectRules, Detail, Pace, Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage

@@ -1,29 +1,24 @@
-"""A virtual environment with this package's wheel and what it declares, and nothing else."""
+"""What an environment holds: one with this package's wheel and what it declares, and the pinned versions."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import Distribution, distribution, distributions
 from pathlib import Path
 
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from support.colcon_workspace import PACKAGE, REPOSITORY, published_files
+from support.colcon_workspace import PACKAGE, REPOSITORY, clone
 
 
 def build_wheel(folder: Path) -> Path:
     """The wheel of this package in `folder`, built from a copy of what a clone has."""
-    source = folder / "source"
-    for file in published_files():
-        copy = source / file
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(REPOSITORY / file, copy)
+    source = clone(folder / "source")
     _pip("wheel", "--no-index", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source)
     (wheel,) = folder.glob("*.whl")
     return wheel
@@ -41,32 +36,42 @@ def build_environment(folder: Path, wheels: Sequence[Path], extras: tuple[str, .
     _pip("--python", python, "install", "--no-index", "--no-deps", "--no-compile", *wheels)
     site_packages = Path(sysconfig.get_path("purelib", vars={"base": str(folder)}))
     installed = {canonicalize_name(each.name): each for each in distributions(path=[str(site_packages)])}
-    for required in _required(installed[canonicalize_name(PACKAGE)], extras):
-        if canonicalize_name(required.name) not in installed:
-            _link(required, site_packages, executables)
+    for required in closure(installed[canonicalize_name(PACKAGE)].requires or [], extras):
+        if required not in installed:
+            _link(distribution(required), site_packages, executables)
     _pip("--python", python, "check")
     return executables
 
 
-def _required(installed: Distribution, extras: tuple[str, ...]) -> list[Distribution]:
-    """All distributions that `installed` with its `extras` requires, found in the running environment."""
-    found: dict[tuple[str, tuple[str, ...]], Distribution] = {}
-    waiting = list(_requirements(installed, extras))
+def closure(lines: Iterable[str], extras: Iterable[str] = ()) -> set[str]:
+    """The names of all packages that `lines` with these `extras` require, in the running environment."""
+    found: set[tuple[str, frozenset[str]]] = set()
+    waiting = [(line, frozenset(extras)) for line in lines]
     while waiting:
-        requirement = waiting.pop()
-        key = canonicalize_name(requirement.name), tuple(sorted(requirement.extras))
-        if key not in found:
-            found[key] = distribution(requirement.name)
-            waiting += _requirements(found[key], key[1])
-    return list({canonicalize_name(each.name): each for each in found.values()}.values())
+        line, extras_of_line = waiting.pop()
+        wanted = Requirement(line)
+        is_wanted = wanted.marker is None or any(
+            wanted.marker.evaluate({"extra": extra}) for extra in ("", *extras_of_line)
+        )
+        key = canonicalize_name(wanted.name), frozenset(wanted.extras)
+        if is_wanted and key not in found:
+            found.add(key)
+            waiting += [(more, key[1]) for more in distribution(wanted.name).requires or []]
+    return {name for name, _ in found}
 
 
-def _requirements(installed: Distribution, extras: tuple[str, ...]) -> Iterator[Requirement]:
-    for line in installed.requires or []:
-        requirement = Requirement(line)
-        marker = requirement.marker
-        if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
-            yield requirement
+def pins(constraints: str) -> dict[str, str]:
+    """Package -> version for this Python; files named by -c included."""
+    lines = (REPOSITORY / "requirements" / constraints).read_text().splitlines()
+    versions: dict[str, str] = {}
+    for line in lines:
+        if line.startswith("-c "):
+            versions |= pins(line.removeprefix("-c "))
+        elif line and not line.startswith("#"):
+            requirement = Requirement(line)
+            if requirement.marker is None or requirement.marker.evaluate():
+                versions[canonicalize_name(requirement.name)] = str(requirement.specifier).removeprefix("==")
+    return versions
 
 
 def _link(required: Distribution, site_packages: Path, executables: Path) -> None:

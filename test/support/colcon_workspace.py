@@ -46,12 +46,18 @@ def _matches(name: str, patterns: list[str]) -> bool:
     return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
-def build_workspace(folder: Path) -> None:
-    """Copy the package into `folder`/src and build it."""
+def clone(folder: Path) -> Path:
+    """Those files in the new `folder`."""
     for file in published_files():
-        copy = folder / "src" / PACKAGE / file
+        copy = folder / file
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(REPOSITORY / file, copy)
+    return folder
+
+
+def build_workspace(folder: Path) -> None:
+    """Copy the package into `folder`/src and build it."""
+    clone(folder / "src" / PACKAGE)
     build = subprocess.run(
         [Path(sys.executable).with_name("colcon"), "build"],
         cwd=folder,

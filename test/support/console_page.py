@@ -76,8 +76,8 @@ class ConsolePage:
         self.find(css).click()
 
     def parameter(self, name: str) -> WebElement:
-        """The part of a parameter, its group opened and scrolled to."""
-        part = self.find(f'[data-parameter="{name}"]')
+        """The part of a parameter, once there is one, its group opened and scrolled to."""
+        part = self.wait_for(lambda: self.find(f'[data-parameter="{name}"]'), f"the parameter {name}")
         if not part.is_displayed():
             summary = part.find_element(By.XPATH, "./ancestor::details/summary")
             self._scroll_to(summary)

@@ -121,15 +121,14 @@ class ConsoleClient:
 
 
 class Page:
-    """What a page has received: `nodes` by name, those `gone` and what was told of them last as `lost`, the
-    detectors that are `omitted`, and `answers` by the id of the request."""
+    """What a page has received: `nodes` by name, those `gone` and what was told of them last as `lost`, and
+    `answers` by the id of the request."""
 
     def __init__(self, connection: ClientConnection) -> None:
         self.connection = connection
         self.nodes: dict[str, dict[str, Any]] = {}
         self.gone: list[str] = []
         self.lost: dict[str, dict[str, Any]] = {}
-        self.omitted: dict[str, Any] = {}
         self.answers: dict[object, dict[str, Any]] = {}
         self._ids = itertools.count(1)
         self.welcome = self._receive(PATIENCE_S)
@@ -180,8 +179,6 @@ class Page:
             self.nodes.pop(message["name"], None)
             self.gone.append(message["name"])
             self.lost[message["name"]] = message["node"]
-        elif message["type"] == "omitted":
-            self.omitted = message
         elif message["type"] == "answer":
             self.answers[message["id"]] = message
         return message

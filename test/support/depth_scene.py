@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import Intrinsics
 
 Shape = Literal["board", "disc", "sphere", "pole", "diagonal", "frame"]
 SHAPES: tuple[Shape, ...] = ("board", "disc", "sphere", "pole", "diagonal", "frame")

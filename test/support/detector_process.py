@@ -6,13 +6,11 @@ import os
 import sys
 import textwrap
 import time
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
@@ -28,8 +26,6 @@ from vision_msgs.msg import Detection2DArray
 
 from support.sighting import Sighting
 from support.worker import worker_domain
-from yolov5_lifecycle.images.encodings import encoded
-from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated
 from yolov5_lifecycle.ros.messages import image_message, stamp_ns
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
@@ -47,7 +43,7 @@ SCENE = Scene(SEED, (240, 320))
 MAX_PENDING = 2
 """Frames under way: one waits, one is in work."""
 _ANSWER_S = 2.0
-_STEPS = {
+STEPS = {
     ("unconfigured", "inactive"): "configure",
     ("unconfigured", "active"): "configure",
     ("inactive", "unconfigured"): "cleanup",
@@ -82,7 +78,7 @@ class DetectorProcess:
     def bring_to(self, state: str) -> None:
         """Walk there one transition at a time."""
         while (now := self.node.state()) != state:
-            step = _STEPS[now, state]
+            step = STEPS[now, state]
             assert self.transition(step), f"{step} was refused:\n{self.process.output}"
 
     def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
@@ -118,24 +114,8 @@ class DetectorProcess:
         self.observer.wait_for(lambda: self._images.get_subscription_count() > 0, "the node to subscribe")
         return self._images
 
-    def wait_until_rejected(self, count: int, reason: str = "") -> dict[str, str]:
-        """Wait until the node has rejected `count` images and tells the `reason`; its status then."""
-        statuses: list[dict[str, str]] = []
-
-        def are_rejected() -> bool:
-            statuses.append(self.status())
-            is_told = reason in statuses[-1]["message"]  # a moment after the image was counted
-            return is_told and int(statuses[-1]["frames rejected"]) >= count
-
-        self.observer.wait_for(are_rejected, f"{count} rejected images")
-        return statuses[-1]
-
     def detect(self, image: Image) -> Detection2DArray:
         """What the node finds in `image`, sent until it is answered."""
-
-        def answers() -> list[Detection2DArray]:
-            return [message for message in self.detections if message.header == image.header]
-
         sent_s = float("-inf")
 
         def is_answered() -> bool:
@@ -143,10 +123,10 @@ class DetectorProcess:
             if time.monotonic() - sent_s > _ANSWER_S:
                 self._matched_publisher().publish(image)
                 sent_s = time.monotonic()
-            return bool(answers())
+            return any(message.header == image.header for message in self.detections)
 
         self.observer.wait_for(is_answered, "the detections of an image")
-        return answers()[0]
+        return next(message for message in self.detections if message.header == image.header)
 
     def look(self, index: int = 0) -> Sighting:
         """What the node finds in image number `index` of the scene, sent now."""
@@ -202,17 +182,11 @@ def parameter_file(folder: Path, text: str) -> list[str]:
     return ["--params-file", str(path)]
 
 
-def scene_image(index: int = 0, *, encoding: str = "rgb8", padding: int = 0, scene: Scene = SCENE) -> Image:
-    """ColourImage number `index` of the scene, stamped now; every row is followed by `padding` bytes."""
-    pixels = encoded(ColourImage(scene.frame(index)[0], "rgb"), encoding)
+def scene_image(index: int = 0) -> Image:
+    """Image number `index` of the scene, stamped now."""
     seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
     header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id="lens")
-    message = image_message(pixels, encoding, header)
-    rows = pixels.reshape(pixels.shape[0], -1)
-    padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=255)
-    message.step = padded.shape[1]
-    message.data = array("B", padded.tobytes())
-    return message
+    return image_message(SCENE.frame(index)[0], "rgb8", header)
 
 
 def is_balanced(status: Mapping[str, str]) -> bool:

@@ -11,10 +11,10 @@ from typing import Any
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from support.colcon_workspace import REPOSITORY
+from support.detected_offline import prepare_once
 from support.recorded_scene import IMAGE, TOPIC, raw, recorded_ns, shown
 from tools.shapes.dataset import write_dataset
 from yolov5_lifecycle.detection.detections import FoundObject
-from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.offline.detect_recording import detection_array
 from yolov5_lifecycle.offline.evaluate.command import main
 from yolov5_lifecycle.offline.recording import TYPES
@@ -24,7 +24,6 @@ WEIGHTS = str(REPOSITORY / "weights" / "shapes.safetensors")
 FAST = ["--set", "image_size=320", "--set", "device=cpu", "--set", "runtime=onnxruntime"]
 TRUTH = "/yolov5/detections"
 
-prepare_once = functools.cache(prepare_model)
 run = functools.partial(main, prepare=prepare_once)
 
 

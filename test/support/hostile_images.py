@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from support import jpeg_builder as jpeg
 from support import png_builder as png
-from yolov5_lifecycle.images.file_structure import MAX_CHUNKS, MAX_SCANNED_PX, MAX_SCANS, MAX_SEGMENTS
+from yolov5_lifecycle.images.compressed import MAX_CHUNKS, MAX_SCANNED_PX, MAX_SCANS, MAX_SEGMENTS
 
 _SMALL, _HUGE = (48, 64), (32760, 32760)
 _HUGE_JPEG = jpeg.image(*_HUGE)

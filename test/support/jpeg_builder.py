@@ -9,7 +9,6 @@ SOI, EOI = b"\xff\xd8", b"\xff\xd9"
 BASELINE, PROGRESSIVE = 0xC0, 0xC2
 EVERY_COEFFICIENT, FIRST_COEFFICIENT = (0, 63, 0x00), (0, 0, 0x00)
 """First and last coefficient of a scan, and which bits of them."""
-NO_DATA = b"\0"
 _CATEGORIES = range(12)
 
 
@@ -22,7 +21,7 @@ def frame(height: int, width: int, *, marker: int = BASELINE, components: int = 
     return segment(marker, struct.pack(">BHHB", bits, height, width, components) + rows)
 
 
-def scan(components: Sequence[int], coefficients: tuple[int, int, int], data: bytes = NO_DATA) -> bytes:
+def scan(components: Sequence[int], coefficients: tuple[int, int, int], data: bytes = b"\0") -> bytes:
     """A scan of the components with these numbers, from 1 on, with its coded data."""
     rows = b"".join(bytes([number, 0]) for number in components)
     return segment(0xDA, bytes([len(components)]) + rows + bytes(coefficients)) + data

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 from pathlib import Path
 
@@ -20,8 +19,9 @@ PAGES = [
     ),
     *sorted((REPOSITORY / "docs").glob("*.md")),
 ]
-CAMERAS = ("front", "rear")
-"""The cameras of the examples."""
+_CAMERAS = ("", "front", "rear")
+TOPICS = {*published(_CAMERAS), *subscribed(_CAMERAS), "/diagnostics"}
+"""Those of the examples, as ~/name."""
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -50,25 +50,3 @@ def table(page: Path, heading: str) -> list[list[str]]:
     rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
     assert rows, f"no table below {heading}"
     return rows[2:]
-
-
-def topics_of_readme() -> set[str]:
-    """The topics in the table of the README, as ~/name."""
-    return {name for row in table(README, "Topics") for name in re.findall(r"`([^`]+)`", row[0])}
-
-
-def topics_of_examples() -> set[str]:
-    """Those of the README, and of the cameras of the examples, as ~/name."""
-    return topics_of_readme() | {*published(CAMERAS), *subscribed(CAMERAS)}
-
-
-def declared_arguments(launch_file: str) -> dict[str, str]:
-    """Name and default, as far as that is written out, of every launch argument."""
-    calls = [
-        node
-        for node in ast.walk(ast.parse((REPOSITORY / "launch" / launch_file).read_text()))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "DeclareLaunchArgument"
-    ]
-    return {
-        ast.literal_eval(call.args[0]): getattr(call.keywords[0].value, "value", "a file") for call in calls
-    }

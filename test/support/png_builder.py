@@ -12,19 +12,15 @@ def chunk(name: bytes, data: bytes = b"") -> bytes:
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
-def header(height: int, width: int, *, bits: int = 8, colour: int = 2, interlaced: bool = False) -> bytes:
-    return chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, interlaced))
-
-
-def pixels(height: int, width: int) -> bytes:
-    """The data of a black image of 8 bits in colour."""
-    return chunk(b"IDAT", zlib.compress(bytes(height * (1 + 3 * width))))
+def header(height: int, width: int) -> bytes:
+    """Of an image of 8 bits in colour."""
+    return chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
 
 
 def image(height: int, width: int, *, before: bytes = b"", after: bytes = b"") -> bytes:
-    """A whole file, with more chunks before or after the data of its pixels."""
-    data = header(height, width) + before + pixels(height, width) + after
-    return SIGNATURE + data + chunk(b"IEND")
+    """A whole black file, with more chunks before or after the data of its pixels."""
+    pixels = chunk(b"IDAT", zlib.compress(bytes(height * (1 + 3 * width))))
+    return SIGNATURE + header(height, width) + before + pixels + after + chunk(b"IEND")
 
 
 def text_bomb(texts: int, mb: int = 7) -> bytes:

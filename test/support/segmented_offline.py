@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.random_model import random_model
+from support.reference_masks import whole_mask
 from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
-from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.detection.prepared_model import PreparedModel, load_detector
 from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detect_bag import main
@@ -49,8 +49,4 @@ def segmented(image: ColourImage) -> Detections:
 def whole_masks(found: Detections) -> NDArray[np.bool_]:
     """(n, H, W): the mask of each detection in the whole image."""
     assert found.masks is not None
-    masks = np.zeros((len(found), *found.masks.size_hw), np.bool_)
-    for row, box_xyxy in enumerate(found.boxes_xyxy):
-        window, inside = found.masks.inside_box(row, box_xyxy)
-        masks[row][window.rows, window.columns] = inside
-    return masks
+    return np.stack([whole_mask(found.masks, row, box) for row, box in enumerate(found.boxes_xyxy)])

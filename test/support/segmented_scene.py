@@ -81,13 +81,7 @@ class MasksSubscriber:
 
     def of(self, header: Header) -> Image:
         """The masks with this header."""
-
-        def found() -> list[Image]:
-            return [message for message in self.received if message.header == header]
-
-        self._camera.served.wait_for(lambda: bool(found()), "the masks")
-        (message,) = found()
-        return message
+        return self._camera.served.received(self.received, header, "the masks")
 
     def segment(self) -> tuple[Detection2DArray, Image]:
         """The detections and masks of the next image."""

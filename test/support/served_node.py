@@ -28,6 +28,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
@@ -102,7 +103,9 @@ class ServedNode:
             for name, service_type in _SERVICES.items()
         }
         self.images = self.client.create_publisher(Image, "/yolov5/image_raw", 1)
-        self.client.create_subscription(Detection2DArray, "/yolov5/detections", self.detections.append, 10)
+        self._of_detections = self.client.create_subscription(
+            Detection2DArray, "/yolov5/detections", self.detections.append, 10
+        )
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
         kept = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.client.create_subscription(Log, "/rosout", lambda message: self.log.append(message.msg), kept)
@@ -200,9 +203,7 @@ class ServedNode:
 
     def ignore_detections(self) -> None:
         """Subscribe to detections no longer."""
-        for subscription in [*self.client.subscriptions]:
-            if subscription.topic_name == "/yolov5/detections":
-                self.client.destroy_subscription(subscription)
+        self.client.destroy_subscription(self._of_detections)
 
     def publish(self, message: Image | None = None) -> None:
         """Send one image once the node listens."""
@@ -210,27 +211,32 @@ class ServedNode:
         self.images.publish(message or image())
 
     def send_until(self, condition: Callable[[], bool], what: str) -> None:
-        """Send images until `condition`, or fail after a while."""
+        """Send images, numbered by their stamps, until `condition`, or fail after a while."""
 
         def is_done() -> bool:
-            self.images.publish(image())
+            self._sent += 1
+            message = image()
+            message.header.stamp.sec = self._sent
+            self.images.publish(message)
             return condition()
 
         self.wait_for(is_done, what)
 
     def detect(self) -> Detection2DArray:
         """Send images until one of them is detected; what was found in it."""
-        first_sec = self._sent + 1
+        before = self._sent
 
         def is_detected() -> bool:
-            self._sent += 1
-            message = image()
-            message.header.stamp.sec = self._sent
-            self.images.publish(message)
-            return bool(self.detections) and self.detections[-1].header.stamp.sec >= first_sec
+            return bool(self.detections) and self.detections[-1].header.stamp.sec > before
 
-        self.wait_for(is_detected, "a detection")
+        self.send_until(is_detected, "a detection")
         return self.detections[-1]
+
+    def received(self, messages: Sequence[Any], header: Header, what: str) -> Any:
+        """The only one of the messages received by and by that has this header."""
+        self.wait_for(lambda: any(message.header == header for message in messages), what)
+        (found,) = [message for message in messages if message.header == header]
+        return found
 
     def label_info(self) -> LabelInfo:
         """What a late subscriber to the latched topic gets."""
@@ -243,9 +249,9 @@ class ServedNode:
         self.client.destroy_subscription(subscription)
         return received[-1]
 
-    def status(self) -> Any:
-        """The next diagnostic status of the node, made after this call."""
-        return self.statuses()["detection"]
+    def status(self, camera: str = "detection") -> Any:
+        """The next diagnostic status of the node or a camera, made after this call."""
+        return self.statuses()[camera]
 
     def statuses(self) -> dict[str, Any]:
         """The next diagnostic statuses, of the node and its cameras, by name."""
@@ -257,21 +263,16 @@ class ServedNode:
         self.wait_for(is_answered, "diagnostics")
         return {status.name.rpartition(": ")[2]: status for status in self.diagnostics[-1].status}
 
-    def values(self) -> dict[str, str]:
+    def values(self, camera: str = "detection") -> dict[str, str]:
         """The values of the next diagnostic status."""
-        return {item.key: item.value for item in self.status().values}
+        return {item.key: item.value for item in self.status(camera).values}
 
-    def counts(self) -> dict[str, int]:
+    def counts(self, camera: str = "detection") -> dict[str, int]:
         """Frames by what became of them, from the next diagnostic status."""
-        return self.counts_of(self.values())
-
-    @staticmethod
-    def counts_of(values: dict[str, str]) -> dict[str, int]:
-        """Frames by what became of them, from the values of a diagnostic status."""
         prefix = "frames "
         return {
             key.removeprefix(prefix): int(value)
-            for key, value in values.items()
+            for key, value in self.values(camera).items()
             if key.startswith(prefix) and key not in ("frames lost", "frames overtaken")
         }
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.demo.ground_truth import boxes_xyxy, class_names
-from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +23,3 @@ class Sighting:
     def of(cls, message: Detection2DArray) -> Sighting:
         scores = tuple(detection.results[0].hypothesis.score for detection in message.detections)
         return cls(tuple(class_names(message)), scores, boxes_xyxy(message))
-
-    def found_of(self, truth: Sighting) -> int:
-        """Number of objects in `truth` with a box of the same class here whose IoU is at least 0.5."""
-        ious = iou_matrix(truth.boxes_xyxy, self.boxes_xyxy)
-        same = np.array(truth.class_names)[:, None] == np.array(self.class_names)[None, :]
-        return int(((ious >= 0.5) & same).any(axis=1).sum())

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import struct
@@ -97,18 +98,10 @@ def _destination(data: bytes, ethernet_type: int) -> str:
     if protocol == UDP and port in ROS_PORTS:
         return ""
     if protocol == UDP and port == 53:
-        return f"look-up of {_name(data[start + 8 + 12 :])}"
+        question, _, _ = data[start + 8 + 12 :].partition(b"\0")  # a label has its length before it
+        return "look-up of " + re.sub(r"[\0-\x1f]", ".", question.decode(errors="replace"))[1:]
     source, _ = struct.unpack_from("!HH", data, start)
     return "" if source == 53 else f"{'UDP' if protocol == UDP else 'TCP'} to {host}:{port}"
-
-
-def _name(question: bytes) -> str:
-    """The name in a DNS question."""
-    parts = []
-    while question and question[0]:
-        parts.append(question[1 : 1 + question[0]].decode(errors="replace"))
-        question = question[1 + question[0] :]
-    return ".".join(parts)
 
 
 def prepare_network(folder: Path) -> None:

@@ -43,16 +43,9 @@ def row(index: int, *cells: object) -> Callable[[], bytes]:
     return changed(lambda model: model.yaml["backbone"].__setitem__(index, list(cells)))
 
 
-def own(**attributes: object) -> Callable[[], bytes]:
-    return changed(lambda model: vars(model).update(attributes))
-
-
-def of_head(**attributes: object) -> Callable[[], bytes]:
-    return changed(lambda model: vars(head(model)).update(attributes))
-
-
 def module_at(model: Any, path: str) -> Any:
-    for name in path.split("."):
+    """The module at `path`; at "" the model itself."""
+    for name in filter(None, path.split(".")):
         model = vars(model)["_modules"][name]
     return model
 
@@ -65,28 +58,18 @@ def child(path: str, **modules: object) -> Callable[[], bytes]:
     return changed(lambda model: vars(module_at(model, path))["_modules"].update(modules))
 
 
-def first_layer(kind: str, **more: object) -> Callable[[], bytes]:
-    """More `_modules` or `_parameters` in the first layer."""
-    return changed(lambda model: vars(layers_of(model)["0"])[kind].update(more))
+def renamed(index: str, name: str) -> Callable[[], bytes]:
+    """Layer `index` is of another class."""
+
+    def rename(model: Any) -> None:
+        layers_of(model)[index] = foreign(name, **vars(layers_of(model)[index]))
+
+    return changed(rename)
 
 
 def anchors(values: object) -> Callable[[], bytes]:
     """Anchors in grid cells."""
     return changed(lambda model: vars(head(model))["_buffers"].update(anchors=torch.tensor(values)))
-
-
-def head_named(name: str) -> Callable[[], bytes]:
-    def rename(model: Any) -> None:
-        layers_of(model)[str(len(layers_of(model)) - 1)] = foreign(name, **vars(head(model)))
-
-    return changed(rename)
-
-
-def layer_named(name: str) -> Callable[[], bytes]:
-    def rename(model: Any) -> None:
-        layers_of(model)["2"] = foreign(name, **vars(layers_of(model)["2"]))
-
-    return changed(rename)
 
 
 def recursive_yaml() -> bytes:
@@ -175,7 +158,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "segmentation without coefficients": (segmentation(nm=None), "the coefficients of masks: expected"),
     "segmentation with other coefficients": (segmentation(nm=16), "gives 16 numbers per box, expected 24"),
     "classification": (
-        head_named("models.common.Classify"),
+        renamed("8", "models.common.Classify"),
         "is a 'Classify', the head of a classification model",
     ),
     "DataParallel of nothing": (lambda: saved({"model": data_parallel(None)}), "expected a model inside"),
@@ -185,9 +168,9 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         anchors([[[0.0, 0.25], [0.5, 0.75]], [[0.0, 0.125], [0.25, 0.375]]]),
         "was never trained: its anchors are still the placeholders",
     ),
-    "YOLOv7": (head_named("models.yolo.IDetect"), "another project, named YOLOv7"),
-    "unknown head": (head_named("models.custom.MyHead"), "'MyHead', not supported"),
-    "unknown block": (layer_named("models.custom.MyBlock"), "is a 'MyBlock', expected C3"),
+    "YOLOv7": (renamed("8", "models.yolo.IDetect"), "another project, named YOLOv7"),
+    "unknown head": (renamed("8", "models.custom.MyHead"), "'MyHead', not supported"),
+    "unknown block": (renamed("2", "models.custom.MyBlock"), "is a 'MyBlock', expected C3"),
     "sum of layers": (row(0, -1, 1, "Sum", [2]), "none of its models uses as a layer"),
     "pool without arguments": (row(1, -1, 1, "nn.MaxPool2d", []), "the kernel of layer 1"),
     "uneven padding": (row(1, -1, 1, "nn.ZeroPad2d", [[0, 1, 0, 2]]), "not supported"),
@@ -205,28 +188,31 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "expected anchors in pixels of the levels",
     ),
     "other activation": (
-        first_layer("_modules", act=nn.GELU()),
+        child("model.0", act=nn.GELU()),
         "is a 'GELU': the model was trained with another activation",
     ),
     "activation of another package": (
-        first_layer("_modules", act=foreign("models.common.SiLU")),
+        child("model.0", act=foreign("models.common.SiLU")),
         "is a 'SiLU': the model was trained with another activation",
     ),
     "fused": (changed(fuse_all), "saved after fuse()"),
-    "classes as a text": (of_head(nc="3"), "expected an integer from 1 to 10000, found '3'"),
-    "two names": (own(names=["cat", "dog"]), "expected names of 3 classes, found 2 names"),
+    "classes as a text": (setting("model.8", nc="3"), "expected an integer from 1 to 10000, found '3'"),
+    "two names": (setting("", names=["cat", "dog"]), "expected names of 3 classes, found 2 names"),
     "name that is an object": (
-        own(names=["cat", foreign("models.common.Conv"), "cow"]),
+        setting("", names=["cat", foreign("models.common.Conv"), "cow"]),
         "strings or numbers, found a models.common.Conv: set model.names",
     ),
-    "too many strides": (own(stride=torch.ones(9)), "expected the strides of 1 to 8 levels"),
-    "stride NaN": (own(stride=torch.tensor([NAN, 8])), "expected strides from 1 to 1024"),
-    "other strides": (own(stride=torch.tensor([8.0, 16])), "but its layers produce"),
-    "strides that repeat one number": (own(stride=torch.ones(1).expand(8)), "found the shape (2, 2, 2)"),
+    "too many strides": (setting("", stride=torch.ones(9)), "expected the strides of 1 to 8 levels"),
+    "stride NaN": (setting("", stride=torch.tensor([NAN, 8])), "expected strides from 1 to 1024"),
+    "other strides": (setting("", stride=torch.tensor([8.0, 16])), "but its layers produce"),
+    "strides that repeat one number": (
+        setting("", stride=torch.ones(1).expand(8)),
+        "found the shape (2, 2, 2)",
+    ),
     "no anchors": (changed(lambda model: vars(head(model))["_buffers"].clear()), "expected anchors"),
     "flat anchors": (anchors([[1.0, 2], [3, 4]]), "expected anchors (width, height) for 2 levels"),
     "three anchors for a head of two": (anchors([[[1.0, 2]] * 3] * 2), "model.8.m.0.weight has the shape"),
-    "yaml missing": (own(yaml=None), "expected a dict as the model's yaml"),
+    "yaml missing": (setting("", yaml=None), "expected a dict as the model's yaml"),
     "yaml without a backbone": (yaml(backbone=None), "expected a list of layers as backbone"),
     "yaml that contains itself": (recursive_yaml, "as layer 5, found"),
     "row of three": (row(0, -1, 1, "Conv"), "[from, number, module, arguments] as layer 0"),

@@ -14,10 +14,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.tracking.assignment import best_pairs, iou_matrix, load_solver
+from yolov5_lifecycle.tracking.assignment import best_pairs, iou_matrix
 
 Matrix = NDArray[np.float64]
-SOLVER = load_solver()
 sides = st.integers(0, 5)
 similarities = arrays(
     np.float64, st.tuples(sides, sides), elements=st.sampled_from((0.0, 0.1, 0.19, 0.2, 0.35, 0.5, 0.9, 1.0))
@@ -63,7 +62,7 @@ def slow_best_sum(similarity: Matrix, threshold: float) -> float:
 @given(similarity=similarities, threshold=st.sampled_from((0.15, 0.2, 0.5)))
 def test_the_assignment_is_the_best_of_all(similarity: Matrix, threshold: float) -> None:
     everyone, everything = np.arange(similarity.shape[0]), np.arange(similarity.shape[1])
-    rows, columns = best_pairs(similarity, everyone, everything, threshold, SOLVER)
+    rows, columns = best_pairs(similarity, everyone, everything, threshold)
     assert len(set(rows.tolist())) == len(set(columns.tolist())) == len(rows)
     assert (similarity[rows, columns] >= threshold).all()
     assert similarity[rows, columns].sum() == pytest.approx(slow_best_sum(similarity, threshold))

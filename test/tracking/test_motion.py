@@ -11,11 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.tracking.common_motion import MIN_BOXES, CommonMotion, Correction
 from yolov5_lifecycle.tracking.motion import (
     ACCELERATION_DENSITY,
+    MIN_BOXES,
     SAME_ERROR_S,
     START_SPEED_STD,
+    CommonMotion,
+    Correction,
     Tracks,
     measurement_std,
     xyxy_to_cxcywh,
@@ -89,13 +91,9 @@ def test_the_elementwise_filter_is_the_one_with_matrices(
             filters[c].correct(measured[0, c], float(measurement_std(measured, seen_score, step_s)[0, 0]))
     for c in COORDINATES:
         scale = 1e-9 * max(1.0, float(np.abs(filters[c].covariance).max()))
-        assert motion.position[0, c] == pytest.approx(filters[c].state[0], rel=1e-7, abs=1e-6)
-        assert motion.velocity[0, c] == pytest.approx(filters[c].state[1], rel=1e-7, abs=1e-6)
-        assert motion.variance[0, c] == pytest.approx(filters[c].covariance[0, 0], rel=1e-6, abs=scale)
-        assert motion.covariance[0, c] == pytest.approx(filters[c].covariance[0, 1], rel=1e-6, abs=scale)
-        assert motion.velocity_variance[0, c] == pytest.approx(
-            filters[c].covariance[1, 1], rel=1e-6, abs=scale
-        )
+        np.testing.assert_allclose(motion.estimates[0, :, c], filters[c].state, rtol=1e-7, atol=1e-6)
+        expected = filters[c].covariance[(0, 0, 1), (0, 1, 1)]
+        np.testing.assert_allclose(motion.variances[0, :, c], expected, rtol=1e-6, atol=scale)
 
 
 def test_a_box_that_shrinks_becomes_empty_and_not_inverted() -> None:
@@ -115,8 +113,8 @@ def test_estimates_stay_finite(side: float, step_s: float, score: Array) -> None
     for _ in range(50):
         motion = motion.predicted(step_s).corrected(box, score, step_s)
     assert all(np.isfinite(values).all() for values in vars(motion).values())
-    assert (motion.variance > 0).all()
-    assert (motion.velocity_variance >= 0).all()
+    assert (motion.variances[:, 0] > 0).all()
+    assert (motion.variances[:, 2] >= 0).all()
 
 
 def test_a_camera_that_turns_turns_places_and_velocities() -> None:
@@ -126,11 +124,11 @@ def test_a_camera_that_turns_turns_places_and_velocities() -> None:
     seen = motion.seen_from(quarter, np.array((1.0, 2.0)))
     x, y, width, height = motion.position[0]
     np.testing.assert_allclose(seen.position[0], (-2 * y + 30, 2 * x + 40, 2 * width, 2 * height))
-    speed_x, speed_y, growth_x, growth_y = motion.velocity[0]
+    speed_x, speed_y, growth_x, growth_y = motion.estimates[0, 1]
     np.testing.assert_allclose(
-        seen.velocity[0], (-2 * speed_y + 1, 2 * speed_x + 2, 2 * growth_x, 2 * growth_y)
+        seen.estimates[0, 1], (-2 * speed_y + 1, 2 * speed_x + 2, 2 * growth_x, 2 * growth_y)
     )
-    np.testing.assert_allclose(seen.variance[0, :2], 4 * motion.variance[0, 1::-1])
+    np.testing.assert_allclose(seen.variances[0, 0, :2], 4 * motion.variances[0, 0, 1::-1])
 
 
 Points = NDArray[np.float64]

@@ -14,16 +14,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from support.scripted_runtime import ScriptedRuntime
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import cluttered_background
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackedDetection
 
 LEFT = Region(((0.0, 0.0), (0.5, 0.0), (0.5, 1.0), (0.0, 1.0)))
 IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")

@@ -14,8 +14,8 @@ from tools.shapes.labelled_image import LabelledImage, frame, still
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.loaded_detector import load_detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, Truth
 from yolov5_lifecycle.tracking.assignment import iou_matrix

@@ -15,7 +15,7 @@ from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
 from yolov5_lifecycle.checkpoints.locate import load_weights, read_once, shown_path
 from yolov5_lifecycle.checkpoints.pickle_interpreter import unpickled
 from yolov5_lifecycle.checkpoints.pickled_model import model_root
-from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, Stub, modules_of, tensors_of
+from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, modules_of, tensors_of
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
 from yolov5_lifecycle.models.cost import size_multiple, usual_cost
 from yolov5_lifecycle.models.model import Export, Model, WeightsError, shown
@@ -42,10 +42,6 @@ class Description:
             facts.append(("size", f"{len(data) / 1e6:.1f} MB"))
             if path.suffix.lower() in (".pt", ".pth"):
                 facts.extend(_of_pickle(data))
-            elif path.suffix.lower() == ".safetensors":
-                facts.append(("written by", "convert"))
-            elif path.suffix.lower() == ".onnx":
-                facts.append(("written by", "an export to ONNX"))
         try:
             weights = load_weights(path)
         except WeightsError as refusal:
@@ -64,11 +60,9 @@ def _of_pickle(data: bytes) -> Iterator[tuple[str, str]]:
     archive = read_archive(data)
     checkpoint = unpickled(archive)
     modules = modules_of(model_root(checkpoint))
-    tensors = dict(tensors_of(modules))
-    yield "written by", f"YOLOv5 {_version(modules, tensors)}"
     yield "layers", _counted(module.kind for path, module in modules.items() if _is_layer(path))
     yield "activations", _counted(module.kind for path, module in modules.items() if path.endswith(".act"))
-    yield "trained", _training(checkpoint, tensors, archive)
+    yield "trained", _training(checkpoint, dict(tensors_of(modules)), archive)
 
 
 def _of_model(model: Model) -> Iterator[tuple[str, str]]:
@@ -149,23 +143,6 @@ def _counted(kinds: Iterable[str]) -> str:
 
 def _is_layer(path: str) -> bool:
     return path.startswith("model.") and path.count(".") == 1
-
-
-def _version(modules: Mapping[str, Stub], tensors: Mapping[str, StoredTensor]) -> str:
-    """The version of YOLOv5 that wrote the model, inferred from differences between versions."""
-    convolutions = [path for path, module in modules.items() if module.kind in ("Conv", "DWConv")]
-    activations = [modules[f"{path}.act"] for path in convolutions if f"{path}.act" in modules]
-    kinds = {module.kind for module in activations}
-    if any(key.endswith(".anchor_grid") for key in tensors):
-        return {"Hardswish": "v3.1", "LeakyReLU": "v3.0", "SiLU": "v4.0 or v5.0"}.get(
-            "".join(kinds), "v3.0 to v5.0"
-        )
-    is_in_place = any(module.get("inplace") is True for module in activations)
-    if modules[""].kind == "Model":
-        return "v6.1" if is_in_place else "v6.0"
-    if len({id(module) for module in activations}) > 1 and kinds == {"SiLU"}:
-        return "v6.2"
-    return "v7.0" if is_in_place else "later than v7.0, or v7.0 with an activation of its own"
 
 
 def _training(checkpoint: object, tensors: Mapping[str, StoredTensor], archive: Archive) -> str:

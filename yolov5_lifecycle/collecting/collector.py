@@ -1,4 +1,4 @@
-"""The thread that decides which candidates are kept, and writes them."""
+"""Frames of cameras, looked at after they were detected, and the thread that decides which are kept."""
 
 from __future__ import annotations
 
@@ -7,15 +7,28 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from yolov5_lifecycle.collecting.candidate import Candidate
+import numpy as np
+from numpy.typing import NDArray
+
+from yolov5_lifecycle.collecting.candidate import (
+    PACE_MIN,
+    Candidate,
+    CollectRules,
+    Detail,
+    Origin,
+    Pace,
+    Trigger,
+)
 from yolov5_lifecycle.collecting.collected_files import CollectingError, KeptImage
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder
-from yolov5_lifecycle.collecting.triggers import PACE_MIN, Detail, Trigger
-from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.collecting.descriptors import Embedding, UsualDescriptor
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.printable import in_one_line
 
 MAX_WAITING = 8
@@ -28,6 +41,12 @@ RETRY_S = 10.0
 """After a failure candidates are dropped for that long."""
 NOVEL_DISTANCE = 0.1
 """An image is novel whose cosine distance to all that are kept is no less."""
+LOOK_PERIOD_S = 0.2
+"""Frames are looked at no more often."""
+TIMES_UNUSUAL = 3.0
+"""An image is unusual that is so many times as far from the usual ones as they are."""
+_MOST_UNUSUAL = 8
+"""Times the usual distance: nothing is worth more."""
 
 _log = logging.getLogger(__name__)
 
@@ -117,7 +136,9 @@ class Collector:
         if not (candidate.is_requested or candidate.pace.allows(now_s)):
             return
         try:
-            self._keep(candidate, self._opened(), now_s)
+            if self._folder is None:
+                self._folder = self._open_folder()
+            self._keep(candidate, self._folder, now_s)
         except (CollectingError, ImageError, OSError) as error:
             self._fail(str(error), now_s)
         except Exception as error:  # noqa: BLE001 - without this thread no image would be kept any more
@@ -132,7 +153,8 @@ class Collector:
         reasons = dict(candidate.reasons)
         distance = folder.descriptors.distance(embedding)
         if Trigger.NOVEL in rules.triggers and len(embedding) and distance >= NOVEL_DISTANCE:
-            reasons[Trigger.NOVEL] = _novelty(distance)
+            words = f"distance {distance:.2f} from the nearest image"
+            reasons[Trigger.NOVEL] = Detail(words if math.isfinite(distance) else "the first of its kind")
         if not reasons:
             return
         labels = candidate.labels(folder.ids_of(rules.class_names))
@@ -147,11 +169,6 @@ class Collector:
             self._count("outranked")
         self._failed_s = None
         self._note(frames=len(folder), megabytes=folder.size_bytes / 1e6, problem="")
-
-    def _opened(self) -> CollectedFolder:
-        if self._folder is None:
-            self._folder = self._open_folder()
-        return self._folder
 
     def _fail(self, problem: str, now_s: float) -> None:
         problem = in_one_line(problem)
@@ -185,7 +202,73 @@ def _rival(candidate: Candidate, folder: CollectedFolder, now_s: float) -> KeptI
     return min(recent, key=lambda kept: kept.value) if len(recent) >= count else None
 
 
-def _novelty(distance: float) -> Detail:
-    if math.isinf(distance):
-        return Detail("the first of its kind")
-    return Detail(f"distance {distance:.2f} from the nearest image")
+class CameraCollecting:
+    """Offers frames of one camera to `collector`.
+
+    Used by one inference thread at a time; any thread may call `request`, and replace `rules` for later
+    frames. `clock` returns monotonic seconds.
+    """
+
+    def __init__(
+        self, collector: Collector, rules: CollectRules, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.rules = rules
+        self.pace = Pace()
+        self._collector = collector
+        self._clock = clock
+        self._usual = UsualDescriptor()
+        self._looked_s = -math.inf
+        self._is_requested = False
+
+    def request(self) -> None:
+        """Keep the next frame."""
+        self._is_requested = True
+
+    def wanted(self, selection: Selection) -> Selection:
+        """What to find in the next frame, besides `selection`: more if the frame will be looked at."""
+        rules, now_s = self.rules, self._clock()
+        is_due = now_s - self._looked_s >= LOOK_PERIOD_S and self.pace.allows(now_s)
+        return rules.extended(selection) if is_due or self._is_requested else selection
+
+    def look(
+        self,
+        found: Detections,
+        published: Detections,
+        image: ColourImage,
+        received_jpeg: NDArray[np.uint8] | None,
+        origin: Origin,
+    ) -> None:
+        """Offer a frame in which `found` was found with `wanted`, and `published` was published, if it may be
+        worth keeping.
+
+        `received_jpeg`: see `Candidate`.
+        """
+        rules = self.rules
+        if found.embedding is None:
+            return
+        reasons = dict(self._reasons(rules, found, found.embedding))
+        self._looked_s, self._is_requested = self._clock(), False
+        if reasons or Trigger.NOVEL in rules.triggers:
+            self._collector.offer(
+                Candidate(
+                    image=image,
+                    received_jpeg=received_jpeg,
+                    detections=published,
+                    embedding=found.embedding,
+                    origin=origin,
+                    reasons=reasons,
+                    rules=rules,
+                    pace=self.pace,
+                )
+            )
+
+    def _reasons(
+        self, rules: CollectRules, found: Detections, embedding: Embedding
+    ) -> Iterator[tuple[Trigger, Detail]]:
+        """Each trigger once, with everything that is behind it."""
+        if self._is_requested:
+            yield Trigger.REQUESTED, Detail("~/collect")
+        yield from rules.reasons(found)
+        times = self._usual.times_usual(embedding, rules.weights_sha256)
+        if Trigger.UNUSUAL in rules.triggers and times >= TIMES_UNUSUAL:
+            yield Trigger.UNUSUAL, Detail(f"{times:.1f} times as far as usual", min(times / _MOST_UNUSUAL, 1))

@@ -132,12 +132,11 @@ class Detector:
 
     def lanes(self, count: int, threads: int) -> tuple[Detector, ...]:
         """Detectors of the same network for `count` threads at the same time; see `Runtime.lanes`."""
-        return tuple(map(self._with, self.runtime.lanes(count, threads)))
-
-    def _with(self, runtime: Runtime) -> Detector:
-        other = copy(self)
-        other.runtime, other.in_use = runtime, threading.RLock()
-        return other
+        runtimes = self.runtime.lanes(count, threads)
+        detectors = tuple(copy(self) for _ in runtimes)
+        for detector, runtime in zip(detectors, runtimes, strict=True):
+            detector.runtime, detector.in_use = runtime, threading.RLock()
+        return detectors
 
     def close(self) -> None:
         """Free the network. Idempotent."""

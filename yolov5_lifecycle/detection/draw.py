@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage, Order
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 
 Colour = tuple[int, int, int]
 
@@ -61,9 +60,10 @@ def annotate(
         draw_masks(
             canvas, labels, [class_colour(each, image.order) for each in detections.class_ids.tolist()]
         )
-    corners = _corners_inside(detections.boxes_xyxy, image.size_hw)
+    height, width = image.size_hw
+    corners = np.clip(np.rint(detections.boxes_xyxy), 0, np.array((width, height, width, height)) - 1)
     class_ids, details = detections.class_ids.tolist(), _details(detections, distances_m)
-    rows = list(zip(corners, class_ids, details, strict=True))[:MAX_DRAWN][::-1]
+    rows = list(zip(corners.astype(int).tolist(), class_ids, details, strict=True))[:MAX_DRAWN][::-1]
     shown = {class_id: printable(class_names[class_id]) for _, class_id, _ in rows}
     for (x1, y1, x2, y2), class_id, _ in rows:
         cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
@@ -194,11 +194,3 @@ def _draw_label(
     cv2.rectangle(canvas, (left, top), (left + label_width - 1, bottom - 1), colour, cv2.FILLED)
     origin = (left + pen.margin_px, top + pen.margin_px + above)
     cv2.putText(canvas, text, origin, _FONT, pen.font_scale, ink, pen.text_thickness, cv2.LINE_AA)
-
-
-def _corners_inside(boxes_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> list[list[int]]:
-    """Corners rounded to integer pixels and clipped to the last row and column of the image."""
-    height, width = size_hw
-    last_xyxy = np.array((width, height, width, height)) - 1
-    corners: list[list[int]] = np.clip(np.rint(boxes_xyxy), 0, last_xyxy).astype(int).tolist()
-    return corners

@@ -63,15 +63,20 @@ class Masks:
         """
         x1, y1, x2, y2 = box_xyxy.tolist()
         (height, width), (cells_y, cells_x) = self.size_hw, self.prototypes.shape[1:]
-        ys, xs = _Axis.of(y1, y2, cells=cells_y, pixels=height), _Axis.of(x1, x2, cells=cells_x, pixels=width)
-        inside = np.zeros((len(ys.before), len(xs.before)), np.bool_)
+        rows, rows_of_cells, ys = _cells_at(y1, y2, cells=cells_y, pixels=height)
+        columns, columns_of_cells, xs = _cells_at(x1, x2, cells=cells_x, pixels=width)
+        inside = np.zeros((len(ys), len(xs)), np.bool_)
         if inside.size:
             with np.errstate(all="ignore"):  # of very large numbers the share is 0, 1 or NaN
-                part = self.prototypes[:, ys.cells, xs.cells]
+                part = self.prototypes[:, rows_of_cells, columns_of_cells]
                 logits: NDArray[np.float32] = np.tensordot(self.coefficients[row], part, axes=1)
-                share = np.asarray(1 / (1 + np.exp(-logits)), np.float32)
-                _interpolate(share, ys, xs, inside)
-        return Window(ys.pixels, xs.pixels), inside
+                shares = np.asarray(1 / (1 + np.exp(-logits)), np.float32)
+                shares = np.ascontiguousarray(_interpolated(shares.T, xs).T)
+                band = max(_BAND_PIXELS // len(xs), 1)
+                for first in range(0, len(ys), band):
+                    of_band = _interpolated(shares, ys[first : first + band])
+                    np.greater(of_band, 0.5, out=inside[first : first + band])
+        return Window(rows, columns), inside
 
     def label_image(self, boxes_xyxy: NDArray[np.float32]) -> NDArray[np.uint16]:
         """An image (H, W) with 0 for the background and i + 1 for the pixels of the i-th detection.
@@ -98,45 +103,27 @@ class Window(NamedTuple):
     columns: slice
 
 
-class _Axis(NamedTuple):
-    """Pixels of one axis of the image, and the cells between which their values are interpolated.
+def _cells_at(
+    low: float, high: float, *, cells: int, pixels: int
+) -> tuple[slice, slice, NDArray[np.float64]]:
+    """The pixels from `low` to below `high`, the cells around them, and where (n,) among these each pixel is.
 
-    The centres of the first and the last cell are half a cell from the edges of the image, as in OpenCV's
-    INTER_LINEAR. Pixels beyond these centres have the value of that cell.
+    Of an axis with `cells`, which are resized to `pixels`. The centres of the first and the last cell are
+    half a cell from the edges of the image, as in OpenCV's INTER_LINEAR. Pixels beyond these centres have the
+    value of that cell.
     """
-
-    pixels: slice
-    cells: slice
-    before: NDArray[np.intp]
-    """(n,): the cell before each pixel's centre, counted from the first of `cells`."""
-    after: NDArray[np.intp]
-    weights: NDArray[np.float32]
-    """(n,): the share of the cell after it, from 0 to 1."""
-
-    @classmethod
-    def of(cls, low: float, high: float, *, cells: int, pixels: int) -> _Axis:
-        """The axis for pixel indices from `low` to below `high`, where `cells` are resized to `pixels`."""
-        first, end = (min(max(math.ceil(bound), 0), pixels) for bound in (low, max(low, high)))
-        places = np.clip((np.arange(first, end) + 0.5) * (cells / pixels) - 0.5, 0, cells - 1)
-        before = places.astype(np.intp)
-        origin, last = (before[0], before[-1]) if len(before) else (0, -1)
-        part = slice(int(origin), min(int(last) + 2, cells))
-        after = np.minimum(before + 1, cells - 1)
-        return cls(
-            slice(first, end), part, before - origin, after - origin, (places - before).astype(np.float32)
-        )
+    first, end = (min(max(math.ceil(bound), 0), pixels) for bound in (low, max(low, high)))
+    places = np.clip((np.arange(first, end) + 0.5) * (cells / pixels) - 0.5, 0, cells - 1)
+    origin, last = (int(places[0]), int(places[-1])) if len(places) else (0, -1)
+    return slice(first, end), slice(origin, last + 2), places - origin
 
 
-def _interpolate(share: NDArray[np.float32], ys: _Axis, xs: _Axis, inside: NDArray[np.bool_]) -> None:
-    """Write into `inside` (n, m) which pixels have a share above 0.5, from the share of each cell."""
-    columns = share.take(xs.before, axis=1)
-    columns += (share.take(xs.after, axis=1) - columns) * xs.weights
-    band = max(_BAND_PIXELS // inside.shape[1], 1)
-    for first in range(0, len(inside), band):
-        rows = slice(first, first + band)
-        values = columns.take(ys.before[rows], axis=0)
-        rise = columns.take(ys.after[rows], axis=0)
-        rise -= values
-        rise *= ys.weights[rows, None]
-        values += rise
-        np.greater(values, 0.5, out=inside[rows])
+def _interpolated(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The rows (n, m) at `places` (n,) between those of `values` (k, m)."""
+    before = places.astype(np.intp)
+    found = values.take(before, axis=0)
+    rise = values.take(np.minimum(before + 1, len(values) - 1), axis=0)
+    rise -= found
+    rise *= (places - before).astype(np.float32)[:, None]
+    found += rise
+    return found

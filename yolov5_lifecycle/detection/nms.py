@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.images.region import BoxFilter
 
 MAX_CANDIDATES = 30_000
 """Maximum boxes that enter NMS, highest scores first, as in YOLOv5."""
@@ -106,6 +106,11 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
     if not np.isfinite(boxes_xyxy).all():
         raise ValueError("The boxes of raw predictions must be finite numbers, found NaN or infinity.")
     counted = None if counts is None else counts(boxes_xyxy)
+    best_filtered = 0.0
+    if counted is not None:
+        dropped = found.at(~counted)
+        is_admitted = selection.admits(dropped.scores, dropped.class_ids)
+        best_filtered = float(dropped.scores[is_admitted].max(initial=0.0))
     kept = suppress(
         boxes_xyxy,
         groups=np.zeros_like(found.class_ids) if selection.agnostic_nms else found.class_ids,
@@ -119,7 +124,7 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
         found.scores[kept],
         found.class_ids[kept],
         best_missed=0.0 if len(kept) else _best_missed(raw, selection, counts),
-        best_filtered=0.0 if counted is None else _best_filtered(found.at(~counted), selection),
+        best_filtered=best_filtered,
         rows=found.rows[kept],
     )
 
@@ -191,12 +196,6 @@ def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts 
     return float(found.scores.max(initial=0.0))
 
 
-def _best_filtered(dropped: _Candidates, selection: Selection) -> float:
-    """The highest score of those `dropped` that is above its threshold; 0 if there is none."""
-    is_admitted = selection.admits(dropped.scores, dropped.class_ids)
-    return float(dropped.scores[is_admitted].max(initial=0.0))
-
-
 def suppress(
     boxes_xyxy: NDArray[np.float32],
     *,
@@ -215,7 +214,11 @@ def suppress(
     # `limit` are kept: of 25,200 boxes with little overlap the first 1,000 took 0.05 s, all 2.6 to 5 s.
     count = max(2 * limit, 1000)
     while True:
-        kept = _nms(boxes_xywh[:count], iou_threshold)
+        best = boxes_xywh[:count]
+        ranks = np.arange(len(best), 0, -1, dtype=np.float32)  # scores, of which only the order counts
+        # A list, because OpenCV reads an array three times slower. OpenCV 4.6 has no NMSBoxesBatched.
+        found = cv2.dnn.NMSBoxes(best.tolist(), ranks, 0.0, iou_threshold)
+        kept = np.asarray(found, np.int64).reshape(-1)  # an empty tuple when no box is kept
         if counted is not None:
             kept = kept[counted[kept]]
         if len(kept) >= limit or count >= len(boxes_xywh):
@@ -230,10 +233,3 @@ def _apart(boxes_xyxy: NDArray[np.float32], groups: NDArray[np.int64]) -> NDArra
         boxes[:, 0::2] += (groups * np.ptp(boxes[:, 0::2]))[:, None]
     boxes[:, 2:] -= boxes[:, :2]
     return boxes
-
-
-def _nms(boxes_xywh: NDArray[np.float64], iou_threshold: float) -> NDArray[np.int64]:
-    ranks = np.arange(len(boxes_xywh), 0, -1, dtype=np.float32)  # scores, of which only the order counts
-    # A list, because OpenCV reads an array three times slower. OpenCV 4.6 has no NMSBoxesBatched.
-    kept = cv2.dnn.NMSBoxes(boxes_xywh.tolist(), ranks, 0.0, iou_threshold)
-    return np.asarray(kept, np.int64).reshape(-1)  # an empty tuple when no box is kept

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 
-from yolov5_lifecycle.detection.box_filter import BoxFilter
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.images.region import Region
+from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.models.class_names import ClassNamesError, safe_name
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem

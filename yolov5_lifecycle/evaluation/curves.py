@@ -34,7 +34,7 @@ def draw_pr_curve(path: Path, matches: Matches) -> None:
     precision = np.where(matches.precision[0] < 0, np.nan, matches.precision[0])  # (101, classes)
     label = f"all, mAP {float(mean_of_classes(matches.ap50)):.3f}"
     with _axes(path, "Precision over recall, IoU 0.5", "recall", "precision") as axes:
-        _draw_classes(axes, _RECALLS, precision.T, _labelled(matches.class_names, matches.ap50))
+        _draw_classes(axes, _RECALLS, precision.T, matches.ap50, matches.class_names)
         axes.plot(_RECALLS, mean_of_classes(precision), color="black", linewidth=2.5, label=label)
         _finish(axes)
 
@@ -45,7 +45,7 @@ def draw_f1_curve(path: Path, matches: Matches, threshold: float) -> None:
     together = _f1(*sweep(matches))
     label = f"all, {float(np.nan_to_num(together).max()):.3f}"
     with _axes(path, "F1 over confidence threshold, IoU 0.5", "confidence threshold", "F1") as axes:
-        _draw_classes(axes, _CONFIDENCES, each, _labelled(matches.class_names, each.max(axis=1)))
+        _draw_classes(axes, _CONFIDENCES, each, each.max(axis=1), matches.class_names)
         axes.plot(_CONFIDENCES, together, color="black", linewidth=2.5, label=label)
         axes.axvline(threshold, color="black", linestyle=":", linewidth=1, label=f"set, {threshold:g}")
         _finish(axes)
@@ -82,22 +82,21 @@ def _f1(scores: NDArray[np.float64], counts: Counts) -> NDArray[np.float64]:
     return np.append(counts.f1, 0.0)[lowest_above]  # -1, no detection, is the last
 
 
-def _labelled(class_names: Sequence[str], figures: NDArray[np.float64]) -> list[str]:
-    return [
-        f"{in_one_line(name, _MAX_NAME)}, {figure:.3f}" if np.isfinite(figure) else ""
-        for name, figure in zip(class_names, figures.tolist(), strict=True)
-    ]
-
-
 def _draw_classes(
-    axes: Axes, xs: NDArray[np.float64], curves: NDArray[np.float64], labels: Sequence[str]
+    axes: Axes,
+    xs: NDArray[np.float64],
+    curves: NDArray[np.float64],
+    figures: NDArray[np.float64],
+    class_names: Sequence[str],
 ) -> None:
-    drawn = [(curve, label) for curve, label in zip(curves, labels, strict=True) if label]
-    for number, (curve, label) in enumerate(drawn):
-        if len(drawn) <= MAX_NAMED:
-            axes.plot(xs, curve, linewidth=1.3, color=f"C{number}", label=_plain(label))
-        else:
-            axes.plot(xs, curve, linewidth=0.6, color="0.7")
+    """The curve of each class whose figure is not NaN; its name and figure are its label."""
+    known = np.flatnonzero(np.isfinite(figures)).tolist()
+    for number, class_id in enumerate(known):
+        if len(known) > MAX_NAMED:
+            axes.plot(xs, curves[class_id], linewidth=0.6, color="0.7")
+            continue
+        label = _plain(f"{in_one_line(class_names[class_id], _MAX_NAME)}, {figures[class_id]:.3f}")
+        axes.plot(xs, curves[class_id], linewidth=1.3, color=f"C{number}", label=label)
 
 
 def _finish(axes: Axes) -> None:

@@ -177,14 +177,13 @@ def match(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> Match
 def truth_dataset(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> dict[str, Any]:
     """The ground truth in COCO's format; ids count from 1, boxes are x, y, width and height in pixels."""
     truths = [image.truth for image in images]
-    is_crowd = np.concatenate([*(truth.is_crowd for truth in truths), np.empty(0, np.bool_)]).astype(np.int64)
     return {
         "images": [
             {"id": number, "file_name": image.label, "height": image.size_hw[0], "width": image.size_hw[1]}
             for number, image in enumerate(images, start=1)
         ],
         "annotations": _annotations(
-            [truth.xyxy for truth in truths], [truth.class_ids for truth in truths], iscrowd=is_crowd
+            [(truth.xyxy, truth.class_ids, truth.is_crowd.astype(np.int64)) for truth in truths], "iscrowd"
         ),
         "categories": [{"id": number, "name": name} for number, name in enumerate(class_names, start=1)],
     }
@@ -193,33 +192,30 @@ def truth_dataset(images: Sequence[EvaluatedImage], class_names: Sequence[str]) 
 def found_annotations(images: Sequence[EvaluatedImage]) -> list[dict[str, Any]]:
     """The detections in COCO's format."""
     found = [image.found for image in images]
-    scores = np.concatenate([*(one.scores for one in found), np.empty(0)]).astype(np.float64)
-    return _annotations(
-        [one.boxes_xyxy for one in found],
-        [one.class_ids for one in found],
-        iscrowd=np.zeros(len(scores), np.int64),
-        score=scores,
+    return _annotations([(one.boxes_xyxy, one.class_ids, one.scores) for one in found], "score")
+
+
+def _annotations(of_images: Sequence[tuple[NDArray[Any], ...]], name: str) -> list[dict[str, Any]]:
+    """Annotations of the objects in each image: their boxes, class ids, and values of what is called `name`.
+
+    Ids count from 1: in COCOeval the id 0 is none.
+    """
+    rows = (
+        (image_id, *row)
+        for image_id, columns in enumerate(of_images, start=1)
+        for row in zip(*(column.tolist() for column in columns), strict=True)
     )
-
-
-def _annotations(
-    boxes_xyxy: Sequence[NDArray[np.floating]],
-    class_ids: Sequence[NDArray[np.int64]],
-    **columns: NDArray[Any],
-) -> list[dict[str, Any]]:
-    """Annotations of the objects in each image, with further `columns`; in COCOeval the id 0 is none."""
-    xyxy = np.concatenate([*boxes_xyxy, np.empty((0, 4))]).astype(np.float64)
-    size_wh = xyxy[:, 2:] - xyxy[:, :2]
-    table = {
-        "id": np.arange(1, len(xyxy) + 1),
-        "image_id": np.repeat(np.arange(1, len(class_ids) + 1), list(map(len, class_ids))),
-        "category_id": np.concatenate([*class_ids, np.empty(0, np.int64)]) + 1,
-        "bbox": np.concatenate((xyxy[:, :2], size_wh), axis=1),
-        "area": size_wh.prod(axis=1),
-        **columns,
-    }
-    rows = zip(*(column.tolist() for column in table.values()), strict=True)
-    return [dict(zip(table, row, strict=True)) for row in rows]
+    return [
+        {
+            "id": number,
+            "image_id": image_id,
+            "category_id": class_id + 1,
+            "bbox": [x1, y1, x2 - x1, y2 - y1],
+            "area": (x2 - x1) * (y2 - y1),
+            name: value,
+        }
+        for number, (image_id, (x1, y1, x2, y2), class_id, value) in enumerate(rows, start=1)
+    ]
 
 
 def _evaluated(truth: dict[str, Any], found: list[dict[str, Any]]) -> Any:

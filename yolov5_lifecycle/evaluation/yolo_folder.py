@@ -6,7 +6,6 @@ A label file has a line for each object: a box or a polygon in fractions of the 
 from __future__ import annotations
 
 import io
-import math
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -347,7 +346,10 @@ def _object(fields: list[str], class_count: int) -> LabelledObject:
             "expected a class and 4 numbers (centre and size of a box) or at least 3 points of a polygon, "
             f"found {len(fields)} fields"
         )
-    class_id, *values = map(_number, fields)
+    try:
+        class_id, *values = map(float, fields)
+    except ValueError as error:
+        raise DataError(f"expected numbers: {str(error)[:60]}") from None
     if not class_id.is_integer() or not 0 <= class_id < class_count:
         raise DataError(f"expected a class from 0 to {class_count - 1}, found {fields[0][:20]}")
     outside = [value for value in values if not -_TOLERANCE <= value <= 1 + _TOLERANCE]
@@ -362,13 +364,3 @@ def _object(fields: list[str], class_count: int) -> LabelledObject:
     if not (x1 < x2 and y1 < y2):
         raise DataError("the object has no area")
     return LabelledObject(int(class_id), tuple(values), (x1, y1, x2, y2))
-
-
-def _number(field: str) -> float:
-    try:
-        value = float(field)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise DataError(f"expected numbers, found {field[:20]!r}")
-    return value

@@ -9,15 +9,14 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.image import (
     ColourImage,
     ImageError,
     Order,
+    check_frame_id,
     check_size,
-    layout_of_message,
     rows_of,
 )
 
@@ -98,26 +97,6 @@ def _stretched(rows: NDArray[np.uint8], is_bigendian: bool) -> NDArray[np.uint8]
     return np.asarray(cv2.normalize(values, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U), np.uint8)
 
 
-_BLACK_LUMA = 16
-_RGB_OF_YUV = np.array(
-    [
-        [1.164, 0.0, 1.596, -_BLACK_LUMA * 1.164 - 128 * 1.596],
-        [1.164, -0.392, -0.813, -_BLACK_LUMA * 1.164 + 128 * (0.392 + 0.813)],
-        [1.164, 2.017, 0.0, -_BLACK_LUMA * 1.164 - 128 * 2.017],
-    ],
-    np.float32,
-)
-"""ITU-R BT.601, as OpenCV uses for the other YUV encodings."""
-
-
-def _full_chroma(rows: NDArray[np.uint8], _: bool) -> NDArray[np.uint8]:
-    # OpenCV has no conversion from NV24. Chroma rows are twice as long as luma rows, padding included.
-    height, width, step = len(rows) // 3, rows.shape[1], rows.strides[0]
-    luma = np.maximum(rows[:height], _BLACK_LUMA)
-    chroma = as_strided(rows[height:], (height, width, 2), (2 * step, 2, 1))
-    return np.asarray(cv2.transform(np.concatenate((luma, chroma), axis=2), _RGB_OF_YUV), np.uint8)
-
-
 def _bayer(conversion: int) -> _Layout:
     # OpenCV turns smaller images black.
     return _Layout(_by_opencv(conversion), 1, min_side_px=3)
@@ -145,7 +124,6 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
         "yuv422_yuy2": _YUYV,
         "nv12": _Layout(_by_opencv(cv2.COLOR_YUV2RGB_NV12), 1, rows=1.5, block_hw=(2, 2)),
         "nv21": _Layout(_by_opencv(cv2.COLOR_YUV2RGB_NV21), 1, rows=1.5, block_hw=(2, 2)),
-        "nv24": _Layout(_full_chroma, 1, rows=3),
         "bayer_rggb8": _bayer(cv2.COLOR_BayerRGGB2RGB),
         "bayer_bggr8": _bayer(cv2.COLOR_BayerBGGR2RGB),
         "bayer_gbrg8": _bayer(cv2.COLOR_BayerGBRG2RGB),
@@ -167,8 +145,9 @@ def raw_image(image: Any) -> ColourImage:
 
     Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
     """
-    layout = layout_of_message(image)
-    return decode_raw(image.data, **layout)
+    check_frame_id(image)
+    fields = ("encoding", "height", "width", "step", "is_bigendian")
+    return decode_raw(image.data, **{field: getattr(image, field) for field in fields})
 
 
 def decode_raw(

@@ -93,16 +93,6 @@ def rows_of(
     return view
 
 
-def layout_of_message(image: Any) -> dict[str, Any]:
-    """The fields of a sensor_msgs/Image that describe its buffer, by name.
-
-    Raises ImageError for a frame_id longer than MAX_FRAME_ID.
-    """
-    check_frame_id(image)
-    fields = ("encoding", "height", "width", "step", "is_bigendian")
-    return {field: getattr(image, field) for field in fields}
-
-
 def check_frame_id(message: Any) -> None:
     """Raise ImageError if the frame_id in the header of `message` has more than MAX_FRAME_ID characters."""
     length = len(message.header.frame_id)

@@ -1,10 +1,11 @@
-"""A region of an image: a polygon, independent of the size of the image."""
+"""Regions of an image, polygons independent of its size, and which boxes count by regions and sizes."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.printable import in_one_line
 
 PointXY = tuple[float, float]
+Anchor = Literal["center", "foot"]
 
 MIN_POINTS = 3
 MAX_POINTS = 64
@@ -90,10 +92,10 @@ def _check_each(points_xy: Sequence[PointXY]) -> None:
 
 def _check_outline(points: NDArray[np.int64]) -> None:
     """Raise ValueError unless the lines between `points` (n, 2), multiples of 1 / _GRID, form a polygon."""
-    numbers: dict[tuple[int, ...], int] = {}
-    for number, point in enumerate(map(tuple, points.tolist()), 1):
-        first = numbers.setdefault(point, number)
-        if (first, number) == (1, len(points)):
+    places = list(map(tuple, points.tolist()))
+    for number, place in enumerate(places, 1):
+        first = places.index(place) + 1
+        if first == 1 and number == len(places):
             raise ValueError("repeats its first point at the end: leave that out, a region closes itself")
         if first != number:
             raise ValueError(f"has point {number} where point {first} is: leave one out")
@@ -130,3 +132,43 @@ def _first_crossing(points: NDArray[np.int64], sides: NDArray[np.int64]) -> tupl
         meets[min(line, following), max(line, following)] = is_turning_back
     pairs = np.argwhere(meets)
     return (int(pairs[0, 0]), int(pairs[0, 1])) if len(pairs) else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxFilter:
+    """The settings of the same names; with their defaults every box counts."""
+
+    regions: tuple[Region, ...] = ()
+    """A box counts only if its anchor is in one of them; without any, everywhere."""
+    ignore_regions: tuple[Region, ...] = ()
+    """A box does not count if its anchor is in one of them."""
+    region_anchor: Anchor = "center"
+    """Which point of a box must be in a region: its centre, or the middle of its lower side."""
+    min_box_size: float = 0.0
+    """Minimum longer side of a box: up to 1 a fraction of the image's longer side, above 1 pixels."""
+    max_box_size: float = 0.0
+    """Maximum longer side, in the same units; 0 for none."""
+
+    def admits(self, boxes_xyxy: NDArray[np.float32], size_hw: tuple[int, int]) -> NDArray[np.bool_]:
+        """Which of the boxes (n, 4), in pixels of an image of `size_hw`, count."""
+        counts = np.ones(len(boxes_xyxy), np.bool_)
+        longer_px = (boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).max(axis=1)
+        if self.min_box_size:
+            counts &= longer_px >= _pixels(self.min_box_size, size_hw)
+        if self.max_box_size:
+            counts &= longer_px <= _pixels(self.max_box_size, size_hw)
+        boxes = boxes_xyxy.astype(np.float64)
+        anchors_xy = (boxes[:, :2] + boxes[:, 2:]) / 2
+        if self.region_anchor == "foot":
+            anchors_xy[:, 1] = boxes[:, 3]
+        anchors_xy /= (size_hw[1], size_hw[0])
+        if self.regions:
+            counts &= np.any([region.contains(anchors_xy) for region in self.regions], axis=0)
+        for region in self.ignore_regions:
+            counts &= ~region.contains(anchors_xy)
+        return counts
+
+
+def _pixels(size: float, size_hw: tuple[int, int]) -> np.float32:
+    """A size as a number of pixels."""
+    return np.float32(size if size > 1 else size * max(size_hw))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detect_bag_arguments import TRACK, command_parser
-from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics
+from yolov5_lifecycle.offline.detecting import OfflineDetector, RunStatistics, prepared_for
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.offline.export.exporting import Export, write_files
 from yolov5_lifecycle.offline.export.formats import (
@@ -26,13 +26,11 @@ from yolov5_lifecycle.offline.many_recordings.results import plan_of
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
 from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, is_video, recordings_of
-from yolov5_lifecycle.offline.terminal import Terminal, missing_images, report
-from yolov5_lifecycle.process.missing_package import import_problem
+from yolov5_lifecycle.offline.terminal import Terminal, exit_code, missing_images, report
 from yolov5_lifecycle.process.standard_streams import complain, show_report
-from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 
+_COMMAND = "detect_bag"
 EXIT_INCOMPLETE = 3
 """Exit code if a recording has fewer images than it claims, or failed as one of many."""
 
@@ -40,36 +38,27 @@ EXIT_INCOMPLETE = 3
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
     parser = command_parser()
     arguments = parser.parse_args(argv)
-    try:
+
+    def run() -> int:
         if arguments.jobs or arguments.ray or are_many(arguments.sources):
             return _run_many(parser, arguments)
         return _run(parser, arguments, prepare)
-    except BrokenPipeError:
-        raise  # not reported: the reader closed the output pipe, as with `| head`
-    except SettingsError as error:
-        listing = "".join(f"\n  {problem}" for problem in error.problems)
-        return _complain(f"{len(error.problems)} problem(s) in the settings:{listing}")
-    except ImportError as error:
-        return _complain(import_problem(error))
-    except (ValueError, OSError, DetectingError, InferenceError) as error:
-        return _complain(str(error))
-    except KeyboardInterrupt:
-        _complain("interrupted; unfinished output was removed")
-        return 130
+
+    return exit_code(_COMMAND, run)
 
 
 def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace, prepare: Prepare) -> int:
     (source,) = arguments.sources
     if not source.exists():
-        return _complain(f"{source}: file or folder not found")
+        raise FileNotFoundError(f"{source}: file or folder not found")
     _check_arguments(parser, arguments, source)
-    with closing(Terminal("detect_bag", shows_progress=bool(arguments.output))) as terminal:
+    with closing(Terminal(_COMMAND, shows_progress=bool(arguments.output))) as terminal:
         statistics = _detected(source, arguments, terminal, prepare)
     lines = report(statistics.counts, statistics.objects, expected=statistics.expected)
     show_report(f"{lines}rate        {statistics.rate_hz:.1f} images per second\n")
     if not statistics.missing:
         return 0
-    _complain(f"{source}: {missing_images(statistics.expected, statistics.outcomes.total())}")
+    complain(_COMMAND, f"{source}: {missing_images(statistics.expected, statistics.outcomes.total())}")
     return EXIT_INCOMPLETE
 
 
@@ -78,13 +67,15 @@ def _detected(
 ) -> RunStatistics:
     settings = _settings(arguments)
     export = _export(source, arguments)
-    load = functools.partial(
-        OfflineDetector, settings, terminal, with_masks=export.needs_masks, prepare=prepare
-    )
     if is_recording(source):
         from yolov5_lifecycle.offline.detect_recording import write_recording as write  # rosbags is an extra
     else:
         write = write_files
+
+    def load() -> OfflineDetector:
+        prepared = prepared_for(settings, prepare)
+        return OfflineDetector(settings, prepared, terminal, with_masks=export.needs_masks)
+
     with export.whole() as unfinished:
         return write(source, unfinished, load)
 
@@ -131,7 +122,7 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
         import yolov5_lifecycle.offline.detect_recording  # noqa: F401 - to say at once that rosbags is missing
     plan = plan_of(settings, output, export)
     new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
-    with closing(Terminal("detect_bag", shows_progress=True)) as terminal:
+    with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
         batch = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
     show_report(str(batch))
     return 0 if batch.is_complete else EXIT_INCOMPLETE
@@ -146,11 +137,6 @@ def _workers(jobs: int | None, ray: str | None, recordings: int) -> Sequence[Wor
 
     processors = connected(ray)
     return [RayWorker() for _ in range(min(jobs or processors, processors, recordings))]
-
-
-def _complain(problem: str) -> int:
-    complain("detect_bag", problem)
-    return 1
 
 
 def _check_arguments(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
 from yolov5_lifecycle.offline.detector_options import add_detector_options
 
 TRACK = "tracker=bytetrack"
@@ -52,7 +52,7 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--jobs",
-        type=_job_count,
+        type=count_up_to(_MAX_JOBS, "processes"),
         metavar="N",
         help="processes for many recordings (default: one per core, but at most one per GiB of free memory)",
     )
@@ -89,11 +89,3 @@ def command_parser() -> argparse.ArgumentParser:
         help=f"give the same object the same id in every image; short for --set {TRACK}",
     )
     return parser
-
-
-def _job_count(text: str) -> int:
-    if not text.isascii() or not text.isdecimal() or not 1 <= int(text[:9]) <= _MAX_JOBS:
-        raise argparse.ArgumentTypeError(
-            f"expected a number of processes from 1 to {_MAX_JOBS}, found {text!r}"
-        )
-    return int(text)

@@ -21,13 +21,8 @@ from yolov5_lifecycle.detection.detections import FoundObject
 from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
 from yolov5_lifecycle.offline.export.exporting import Export, export_images
-from yolov5_lifecycle.offline.recording import (
-    TYPES,
-    RecordedImage,
-    RecordedTopic,
-    RecordingError,
-    open_recording,
-)
+from yolov5_lifecycle.offline.recording import TYPES, RecordedMessage, RecordingError, open_recording
+from yolov5_lifecycle.offline.stored_messages import StoredTopic
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 from yolov5_lifecycle.process.standard_streams import complain
@@ -47,7 +42,7 @@ def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStat
         if recording.foreign:
             complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
         topic = recording.image_topic(export.topic)
-        images = _not_empty(source, topic, recording.images(topic))
+        images = _not_empty(source, topic, recording.messages(topic))
         if not export.suffix and export.path is not None:
             _check_path(export.path.absolute(), recording.storage)
         new_bag = None if export.suffix else partial(_DetectionBag, export, recording.storage)
@@ -81,8 +76,8 @@ def os_errors(output: Path | None) -> Iterator[None]:
 
 
 def _not_empty(
-    source: Path, topic: RecordedTopic, images: Iterator[RecordedImage]
-) -> Iterator[RecordedImage]:
+    source: Path, topic: StoredTopic, images: Iterator[RecordedMessage]
+) -> Iterator[RecordedMessage]:
     """`images`, at least one; raises RecordingError if the topic was announced but has no messages."""
     first = next(images, None)
     if first is None:

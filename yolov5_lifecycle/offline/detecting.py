@@ -15,16 +15,14 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.loaded_detector import FixedSizeError
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel, prepare_model
+from yolov5_lifecycle.detection.prepared_model import FixedSizeError, Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
-from yolov5_lifecycle.tracking.byte_tracker import StampCounts
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts, TrackedDetection
 
 
 class StoredImage(Protocol):
@@ -81,7 +79,7 @@ class RunStatistics:
         return self.outcomes.total() / max(time.monotonic() - self.begun_s, 1e-9)
 
 
-class ProgressListener(Protocol):
+class RunObserver(Protocol):
     """Observer of a run."""
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
@@ -94,38 +92,33 @@ class ProgressListener(Protocol):
 def prepared_for(settings: Settings, prepare: Prepare) -> PreparedModel:
     """The model that `prepare` loads; one of a fixed image size with that, unless `settings` set another.
 
-    Raises what `prepare` raises.
+    Raises what `prepare` raises, and SettingsError for classes unknown to the model.
     """
     try:
-        return prepare(settings, (USUAL_SOURCE_HW,))
+        prepared = prepare(settings, (USUAL_SOURCE_HW,))
     except FixedSizeError as error:
         if "image_size" in settings.model_fields_set:
             raise
-        return prepare(settings.model_copy(update={"image_size": error.image_size}), (USUAL_SOURCE_HW,))
+        prepared = prepare(settings.model_copy(update={"image_size": error.image_size}), (USUAL_SOURCE_HW,))
+    if problems := model_problems(settings, prepared.detector.class_names):
+        raise SettingsError(problems)
+    return prepared
 
 
 class OfflineDetector:
-    """Detector that owns the model that `prepare` loads and applies `settings` to every image.
+    """Detector with the model of `prepared_for`, and `settings` that apply to every image.
 
     With the setting `tracker`, images that have a time are tracked, as the images of one camera.
     `with_masks`: whether the detections of a segmentation model have masks; computing them takes time.
-    Raises ValueError or OSError like `prepare_model`, and SettingsError for a class unknown to the model.
     """
 
     def __init__(
-        self,
-        settings: Settings,
-        listener: ProgressListener,
-        *,
-        with_masks: bool,
-        prepare: Prepare = prepare_model,
+        self, settings: Settings, prepared: PreparedModel, observer: RunObserver, *, with_masks: bool
     ) -> None:
         self.settings = settings
-        self._listener = listener
-        self._detector = prepared_for(settings, prepare).detector
+        self._observer = observer
+        self._detector = prepared.detector
         self.class_names = self._detector.class_names
-        if problems := model_problems(settings, self.class_names):
-            raise SettingsError(problems)
         self._selection = replace(selection(settings, self.class_names), with_masks=with_masks)
         self._stamps = StampCounts()
         self._tracking = TrackedDetection.started(settings, itertools.count(1), self._stamps)
@@ -164,7 +157,7 @@ class OfflineDetector:
         statistics = RunStatistics(expected, self._stamps)
         for stored in images:
             statistics.outcomes[self._detect(stored, write, statistics.objects)] += 1
-            self._listener.progress(statistics)
+            self._observer.progress(statistics)
         if not (count := statistics.outcomes.total()):
             raise DetectingError("there are no images to use")
         if not statistics.outcomes[Outcome.DETECTED]:
@@ -181,10 +174,10 @@ class OfflineDetector:
             image = stored.load()
             detections = self._detections(stored, image)
         except ImageError as error:
-            self._listener.lost(stored.label, Outcome.REJECTED, error)
+            self._observer.lost(stored.label, Outcome.REJECTED, error)
             return Outcome.REJECTED
         except InferenceError as error:
-            self._listener.lost(stored.label, Outcome.FAILED, error)
+            self._observer.lost(stored.label, Outcome.FAILED, error)
             self._count_failure(error)
             return Outcome.FAILED
         self._failures = 0

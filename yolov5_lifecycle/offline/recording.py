@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Any
@@ -22,7 +23,7 @@ from yolov5_lifecycle.images.compressed import compressed_image
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.input_file import read_regular_file
-from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG, is_mcap
+from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG
 from yolov5_lifecycle.offline.stored_messages import (
     CDR,
     MAX_MESSAGE_BYTES,
@@ -106,12 +107,13 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True)
 class RecordedMessage:
-    """A recorded message with a header, and its time stamp in the recording."""
+    """A recorded message with a header, its time stamp in the recording, and its number on its topic."""
 
     timestamp_ns: int
     type_name: str
     data: bytes | None
     """None if it is larger than MAX_MESSAGE_BYTES."""
+    number: int
 
     @property
     def label(self) -> str:
@@ -141,13 +143,6 @@ class RecordedMessage:
         seconds, nanoseconds = self.stamp
         return seconds + nanoseconds * 1e-9
 
-
-@dataclass(frozen=True)
-class RecordedImage(RecordedMessage):
-    """A recorded image message, counted from 0 on its topic."""
-
-    number: int = field(default=0, kw_only=True)
-
     @property
     def identity(self) -> dict[str, str | int]:
         """The stamp of its header, which others may have, too, and its number; raises ImageError."""
@@ -161,17 +156,9 @@ class RecordedImage(RecordedMessage):
         return f"{seconds}_{nanoseconds:09}"
 
     def load(self) -> ColourImage:
+        """The pixels of an image message; raises ImageError."""
         decode = compressed_image if self.type_name == _COMPRESSED else raw_image
         return decode(self.message)
-
-
-@dataclass(frozen=True)
-class RecordedTopic:
-    """A topic and its number of messages, as the recording claims; a damaged one may have fewer."""
-
-    name: str
-    type_name: str
-    count: int
 
 
 class Recording:
@@ -185,9 +172,10 @@ class Recording:
     @property
     def storage(self) -> StoragePlugin:
         """The storage format of its files."""
-        return StoragePlugin.MCAP if is_mcap(self.path) else StoragePlugin.SQLITE3
+        is_mcap = any(isinstance(storage, McapFile) for storage in self._storages)
+        return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
-    def image_topic(self, name: str | None = None) -> RecordedTopic:
+    def image_topic(self, name: str | None = None) -> StoredTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
         if not (topics := self.topics(_RAW, _COMPRESSED)):
             others = in_one_line(", ".join(sorted({topic.name for topic in self._stored()})) or "nothing")
@@ -198,8 +186,8 @@ class Recording:
         return self.one_of(topics, name, what="image topic", option="--topic")
 
     def one_of(
-        self, topics: Sequence[RecordedTopic], name: str | None, *, what: str, option: str
-    ) -> RecordedTopic:
+        self, topics: Sequence[StoredTopic], name: str | None, *, what: str, option: str
+    ) -> StoredTopic:
         """The topic `name`, or the only one; raises RecordingError, which names the `option` to choose."""
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
@@ -212,16 +200,9 @@ class Recording:
             raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
         raise RecordingError(f"{self.path}: there is no {what} {name}; choose one of these:{listing}")
 
-    def images(self, topic: RecordedTopic) -> Iterator[RecordedImage]:
-        """Every image of `topic` in recording order; raises RecordingError if the file is damaged."""
-        messages = enumerate(self._messages(topic))
-        return (RecordedImage(*message, number=number) for number, message in messages)
-
-    def messages(self, topic: RecordedTopic) -> Iterator[RecordedMessage]:
-        """Like `images` for any topic whose messages have a header."""
-        return (RecordedMessage(*message) for message in self._messages(topic))
-
-    def _messages(self, topic: RecordedTopic) -> Iterator[tuple[int, str, bytes | None]]:
+    def messages(self, topic: StoredTopic) -> Iterator[RecordedMessage]:
+        """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
+        numbers = itertools.count()
         for storage in self._storages:
             messages = storage.messages(topic.name, topic.type_name)
             while True:
@@ -230,16 +211,16 @@ class Recording:
                         break
                     timestamp_ns, data = found
                     data = data and _unpacked_message(data)
-                yield timestamp_ns, topic.type_name, data
+                yield RecordedMessage(timestamp_ns, topic.type_name, data, next(numbers))
 
-    def topics(self, *type_names: str) -> list[RecordedTopic]:
+    def topics(self, *type_names: str) -> list[StoredTopic]:
         """Its topics of these types, sorted by name."""
         counts: Counter[tuple[str, str]] = Counter()
         for topic in self._stored():
             if topic.type_name in type_names and topic.encoding == CDR:
                 counts[topic.name, topic.type_name] += topic.count
         return [
-            RecordedTopic(name, type_name, min(max(count, self._claimed.get(name, 0)), _MAX_CLAIMED))
+            StoredTopic(name, type_name, CDR, min(max(count, self._claimed.get(name, 0)), _MAX_CLAIMED))
             for (name, type_name), count in sorted(counts.items())
         ]
 

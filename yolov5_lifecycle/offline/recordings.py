@@ -54,12 +54,6 @@ def is_storage(path: Path) -> bool:
     return Path(path.name.removesuffix(PACKED)).suffix in _SUFFIXES
 
 
-def is_mcap(path: Path) -> bool:
-    """Whether the recording at `path` is in MCAP, otherwise it is in SQLite; raises OSError."""
-    files = [path] if path.is_file() else entries(path)
-    return any(".mcap" in file.suffixes for file in files)
-
-
 def are_many(sources: Sequence[Path]) -> bool:
     """Whether `sources` stand for many recordings or videos: several paths, a pattern or a folder of them."""
     return len(sources) > 1 or any(_matches(source) or _has_recordings(source) for source in sources)

@@ -63,13 +63,13 @@ class StorageError(ValueError):
 
 @dataclass(frozen=True)
 class StoredTopic:
-    """A topic in one file; several may have one name."""
+    """A topic in one file, where several may have one name, or of a whole recording."""
 
     name: str
     type_name: str
     encoding: str
     count: int = 0
-    """Messages on it."""
+    """Messages on it, as the recording claims; a damaged one may have fewer."""
 
 
 class McapFile:

@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
-from yolov5_lifecycle.offline.detecting import RunStatistics
+from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
 from yolov5_lifecycle.printable import MAX_TEXT, in_one_line
+from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain, show_progress
+from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _MAX_TOLD = 10
 _PROGRESS_PERIOD_S = 0.1
+
+
+def exit_code(command: str, run: Callable[[], int]) -> int:
+    """What `run` returns; if it cannot do its work, reports why and returns 1, or 130 if interrupted."""
+    try:
+        return run()
+    except BrokenPipeError:
+        raise  # not reported: the reader closed the output pipe, as with `| head`
+    except SettingsError as error:
+        listing = "".join(f"\n  {problem}" for problem in error.problems)
+        complain(command, f"{len(error.problems)} problem(s) in the settings:{listing}")
+    except ImportError as error:
+        complain(command, import_problem(error))
+    except (ValueError, OSError, DetectingError, InferenceError) as error:
+        complain(command, str(error))
+    except KeyboardInterrupt:
+        complain(command, "interrupted; unfinished output was removed")
+        return 130
+    return 1
 
 
 class Terminal:

@@ -22,9 +22,8 @@ from vision_msgs.msg import (
 )
 
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
-from yolov5_lifecycle.images.compressed import compressed_image
+from yolov5_lifecycle.images.compressed import compressed_image, is_jpeg
 from yolov5_lifecycle.images.encodings import raw_image
-from yolov5_lifecycle.images.file_structure import is_jpeg
 from yolov5_lifecycle.images.image import ColourImage, bytes_of
 from yolov5_lifecycle.spatial.placement import Box3D, Placement
 

@@ -108,23 +108,6 @@ class CompiledRuntime:
         """None once closed."""
         self._networks = NetworksByShape(lambda shape: program.network(shape, threads), kept=kept)
 
-    @classmethod
-    def load(
-        cls,
-        model: Model,
-        engine: Engine,
-        *,
-        device: str,
-        quantization: Quantization | None = None,
-        kept: int = MIN_KEPT,
-    ) -> CompiledRuntime:
-        """Load `model`, in int8 with `quantization`; `kept`: see `NetworksByShape`.
-
-        Raises DeviceError for a device that the engine does not support, and QuantizationError.
-        """
-        check_processor(device, engine)
-        return cls(Compiler(model, engine, quantization), processor_threads(), kept=kept)
-
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
         """See `Runtime`; the first frame of each size waits for the compiler."""
         shape = frame.shape[0], frame.shape[1]

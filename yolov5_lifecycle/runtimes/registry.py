@@ -70,10 +70,16 @@ def load_runtime(
         resolve_precision(precision, torch.device("cpu"))
         precision = "fp32"
     engine = imported_engine(runtime, precision)
-    from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime
+    from yolov5_lifecycle.runtimes.compiled_runtime import (
+        CompiledRuntime,
+        Compiler,
+        check_processor,
+        processor_threads,
+    )
 
-    used = quantization if precision == "int8" else None
-    return CompiledRuntime.load(model, engine, device=device, quantization=used, kept=kept)
+    check_processor(device, engine)
+    compiler = Compiler(model, engine, quantization if precision == "int8" else None)
+    return CompiledRuntime(compiler, processor_threads(), kept=kept)
 
 
 def load_export(export: Export, runtime: str, *, device: str, precision: str) -> Runtime:

@@ -1,4 +1,10 @@
-"""Samples of a depth image in and around boxes, on a grid, so that the cost does not depend on their size."""
+"""Samples of a depth image in and around boxes, and which of them are background.
+
+They lie on a grid, so that the cost does not depend on the size of a box. Background are planes that go on
+around a box: the floor, a wall, or a board before the object. A plane in space is a plane in the image, too:
+along it, 1 / depth changes linearly with column and row. So neither the camera's intrinsics nor its height
+above the floor need to be known.
+"""
 
 from __future__ import annotations
 
@@ -65,3 +71,175 @@ def _positions(ends: NDArray[np.float32]) -> NDArray[np.intp]:
     margin = np.maximum(_RING * side, _MIN_RING_PX)
     places = np.concatenate((start - margin[:, ::-1], start + _CELLS * side, end + margin), axis=1)
     return np.asarray(np.floor(places), np.intp)
+
+
+_PLANES = 2
+"""Planes removed from each box: mostly the floor and a wall."""
+_TRIALS = 64
+"""Planes through three samples of which the best are chosen."""
+_TRIAL_TOLERANCE = 0.02
+"""Share of the depth within which a trial explains a sample."""
+_NOISE = 3.0
+"""Standard deviations from a plane within which a sample is part of it."""
+_MIN_TOLERANCE, _MAX_TOLERANCE = 0.012, 0.05
+"""The least and the most that this may be, as a share of the depth."""
+_MIN_SHARE = 0.2
+"""Share of the samples around a box that a plane must explain."""
+_MIN_SIDE_SHARE = 0.15
+"""The same left or right, and above or below: an object beside this one, and as far away, is no plane."""
+_MIN_MEASURED = 0.25
+"""Share of samples that counts as measured, even if fewer are, as at the edge of the image."""
+
+Array = NDArray[np.float32]
+
+
+def _turning_order() -> NDArray[np.intp]:
+    """Every third sample around a box, in the order of their angles."""
+    places = np.flatnonzero(IS_AROUND)
+    rows, columns = np.divmod(places, GRID)
+    middle = (GRID - 1) / 2
+    return places[np.argsort(np.arctan2(rows - middle, columns - middle), kind="stable")][::3]
+
+
+def _groups(places: NDArray[np.intp]) -> Array:
+    """(5, r): 1 where a sample is left, right, above or below the box, and not at a corner; and 1 for all."""
+    rows, columns = np.divmod(places, GRID)
+    last = GRID - RING
+    is_level = (rows >= RING) & (rows < last)
+    is_upright = (columns >= RING) & (columns < last)
+    sides = (
+        (columns < RING) & is_level,
+        (columns >= last) & is_level,
+        (rows < RING) & is_upright,
+        (rows >= last) & is_upright,
+    )
+    return np.stack((*sides, np.ones_like(is_level))).astype(np.float32)
+
+
+def _triples() -> Array:
+    """(trials, 3) places on the way around a box, in [0, 1): three of one arc, because a plane fills arcs."""
+    trial = np.arange(_TRIALS)
+    start, share = trial * 0.618 % 1, 0.35 + 0.3 * (trial * 0.755 % 1)
+    arc = np.take((0.35, 0.5, 0.75), trial % 3)
+    return (np.stack((start, start + share * arc, start + arc), axis=1) % 1).astype(np.float32)
+
+
+_PLACES = _turning_order()
+_GROUPS = _groups(_PLACES)
+_LEAST = _MIN_MEASURED * _GROUPS.sum(axis=1)
+_TRIPLES = _triples()
+
+
+def is_background(samples: BoxSamples) -> NDArray[np.bool_]:
+    """Which of the samples (n, GRID, GRID) are on planes that go on around the box."""
+    count = len(samples.metres)
+    terms = _terms(samples)
+    around = np.ascontiguousarray(terms[:, :, _PLACES])
+    is_free = around[:, 2] > 0
+    measured = is_free.astype(np.float32) @ _GROUPS.T
+    errors = around.transpose(0, 2, 1) @ _trials(around)  # (n, r, trials)
+    errors -= 1
+    is_near = np.abs(errors, out=errors) < _TRIAL_TOLERANCE
+    near = is_near.astype(np.float32)
+    is_on_any = np.zeros((count, GRID * GRID), np.bool_)
+    for _ in range(_PLANES):
+        best, is_plane = _best(near, is_free, measured)
+        if not is_plane.any():
+            break
+        plane, noise = _refined(around, is_free, is_near[np.arange(count), :, best])
+        plane *= is_plane[:, None]
+        is_on_any |= _is_on(plane, noise, terms)
+        is_free &= ~_is_on(plane, noise, around)
+    return is_on_any.reshape(samples.metres.shape)
+
+
+def _terms(samples: BoxSamples) -> Array:
+    """Column, row and 1 of the samples (n, 3, GRID * GRID), each times the sample's depth; 0 without one.
+
+    A sample is on a plane if these three, each times a coefficient of the plane, add up to 1.
+    """
+    terms = np.empty((len(samples.metres), 3, GRID, GRID), np.float32)
+    metres = np.where(np.isnan(samples.metres), np.float32(0), samples.metres)
+    terms[:, 0] = metres * _normalised(samples.columns)[:, None, :]
+    terms[:, 1] = metres * _normalised(samples.rows)[:, :, None]
+    terms[:, 2] = metres
+    return terms.reshape(len(terms), 3, -1)
+
+
+def _normalised(places: NDArray[np.intp]) -> Array:
+    """Pixel indices (n, GRID) as parts of the grid, so that all coefficients of a plane are alike in size."""
+    first, last = places[:, :1], places[:, -1:]
+    parts: Array = ((places - first) / np.maximum(last - first, 1) - 0.5).astype(np.float32)
+    return parts
+
+
+def _best(
+    near: Array, is_free: NDArray[np.bool_], measured: Array
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """The trial (n,) that explains most of the free samples (n, r), and whether that is a plane (n,).
+
+    `near` (n, r, trials) is 1 for samples that a trial explains, `measured` (n, 5) tells how many samples of
+    each group are measurements.
+    """
+    weights = _GROUPS * is_free[:, None, :] / np.maximum(measured, _LEAST)[..., None]
+    shares = weights @ near  # (n, 5, trials)
+    # Where nothing is measured, as outside the image, a plane may go on.
+    left, right, above, below = (shares[:, :4] + (measured < _LEAST)[:, :4, None]).transpose(1, 0, 2)
+    side_share = np.minimum(np.maximum(left, right), np.maximum(above, below))
+    scores = shares[:, 4] * (side_share >= _MIN_SIDE_SHARE)
+    return scores.argmax(axis=1), scores.max(axis=1) >= _MIN_SHARE
+
+
+def _trials(around: Array) -> Array:
+    """Planes (n, 3, trials) through three measurements each; 0 where three lie on a line."""
+    is_free = around[:, 2] > 0
+    order = np.argsort(~is_free, axis=1, kind="stable")  # the free ones first, on the way around the box
+    picked = (_TRIPLES.ravel() * is_free.sum(axis=1, keepdims=True)).astype(np.intp)
+    boxes = np.arange(len(around))[:, None]
+    points = around.transpose(1, 0, 2)[:, boxes, order[boxes, picked]].reshape(3, len(around), -1, 3)
+    one, two, three = points.transpose(3, 0, 1, 2)  # (3, n, trials) each
+    across = _cross(two, three)
+    volume = one[0] * across[0] + one[1] * across[1] + one[2] * across[2]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        planes = (across + _cross(three, one) + _cross(one, two)) / volume
+    planes[~np.isfinite(planes)] = 0
+    return np.ascontiguousarray(planes.transpose(1, 0, 2))
+
+
+def _cross(one: Array, other: Array) -> Array:
+    """Cross products of vectors (3, ...); numpy's is many times slower for few vectors."""
+    return np.stack(
+        (
+            one[1] * other[2] - one[2] * other[1],
+            one[2] * other[0] - one[0] * other[2],
+            one[0] * other[1] - one[1] * other[0],
+        )
+    )
+
+
+def _refined(around: Array, is_free: NDArray[np.bool_], is_near: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The planes (n, 3) of the free samples that are near a trial or its regression, and their noise (n,)."""
+    plane, noise = _regression(around, is_near & is_free)
+    return _regression(around, _is_on(plane, noise, around) & is_free)
+
+
+def _regression(around: Array, is_chosen: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The planes (n, 3) nearest to the chosen samples (n, r); their standard deviation (n,) of 1 / depth."""
+    chosen = around * is_chosen[:, None, :]
+    squares = (chosen @ around.transpose(0, 2, 1)).astype(np.float64)
+    ridge = 1e-9 * squares[:, 2, 2] + 1e-12  # three samples on a line, or none, have no plane
+    squares[:, (0, 1, 2), (0, 1, 2)] += ridge[:, None]
+    sums = chosen.sum(axis=2, dtype=np.float64)
+    plane = np.linalg.solve(squares, sums[..., None])[..., 0].astype(np.float32)
+    errors = (plane[:, None, :] @ around)[:, 0] - 1
+    errors *= is_chosen / np.maximum(around[:, 2], np.float32(1e-6))
+    return plane, np.sqrt((errors * errors).sum(axis=1) / np.maximum(is_chosen.sum(axis=1), 1))
+
+
+def _is_on(plane: Array, noise: Array, terms: Array) -> NDArray[np.bool_]:
+    """Whether samples (n, r) are on the planes (n, 3) whose 1 / depth has the standard deviation `noise`."""
+    errors = (plane[:, None, :] @ terms)[:, 0]
+    errors -= 1
+    tolerance = terms[:, 2] * (_NOISE * noise)[:, None].astype(np.float32)
+    np.clip(tolerance, _MIN_TOLERANCE, _MAX_TOLERANCE, out=tolerance)
+    return np.asarray(np.abs(errors, out=errors) < tolerance)

@@ -1,8 +1,8 @@
-"""Depth images: views of message buffers, and the metres in them."""
+"""Depth images, views of message buffers with the metres in them, and intrinsics of the depth camera."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import ImageError, check_size, layout_of_message, rows_of
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, check_frame_id, check_size, rows_of
 
 MIN_DEPTH_M = 0.01
 MAX_DEPTH_M = 1000.0
 """Beyond these a value is no measurement, but damage: no depth camera reaches either."""
 
+MIN_FOCAL_PX = 0.1
+MAX_PX = 1e7
+"""Beyond these there is no camera, and coordinates in space would not be finite."""
 
 DEPTH_ENCODINGS: Mapping[str, tuple[str, float]] = MappingProxyType(
     {"16UC1": ("u2", 0.001), "32FC1": ("f4", 1.0)}
@@ -58,32 +61,84 @@ class DepthImage:
         return metres
 
 
-def decode_depth(
-    data: Any, *, encoding: str, height: int, width: int, step: int, is_bigendian: bool
-) -> DepthImage:
-    """The depth image in a buffer with the layout of sensor_msgs/Image: 16UC1 in mm or 32FC1 in m.
+def depth_image_of_message(image: Any) -> DepthImage:
+    """The depth image in a sensor_msgs/Image, deserialised by any library: 16UC1 in mm or 32FC1 in m.
 
-    `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray); `step` is the row stride in
-    bytes. The result is a read-only view of `data`.
+    Its `data` is any contiguous buffer (bytes, array.array, memoryview, ndarray), of which the result is a
+    read-only view.
 
-    Raises ImageError when the encoding is another or the buffer is too small for the given layout.
+    Raises ImageError when the encoding is another or the buffer is too small for the layout, and for a
+    frame_id longer than MAX_FRAME_ID.
     """
-    if encoding not in DEPTH_ENCODINGS:
+    check_frame_id(image)
+    if image.encoding not in DEPTH_ENCODINGS:
         raise ImageError(
-            f"Expected a depth image in {' or '.join(DEPTH_ENCODINGS)}, found encoding {encoding[:40]!r}. "
-            "Subscribe to the raw depth topic that is aligned to the colour image."
+            f"Expected a depth image in {' or '.join(DEPTH_ENCODINGS)}, found encoding "
+            f"{image.encoding[:40]!r}. Subscribe to the raw depth topic that is aligned to the colour image."
         )
-    kind, metres_per_unit = DEPTH_ENCODINGS[encoding]
-    check_size(height, width)
-    dtype = np.dtype(kind).newbyteorder(">" if is_bigendian else "<")
-    rows = rows_of(data, rows=height, width=width, pixel_bytes=dtype.itemsize, step=step, encoding=encoding)
+    kind, metres_per_unit = DEPTH_ENCODINGS[image.encoding]
+    check_size(image.height, image.width)
+    dtype = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
+    rows = rows_of(
+        image.data,
+        rows=image.height,
+        width=image.width,
+        pixel_bytes=dtype.itemsize,
+        step=image.step,
+        encoding=image.encoding,
+    )
     return DepthImage(rows.view(dtype)[..., 0], metres_per_unit)
 
 
-def depth_image_of_message(image: Any) -> DepthImage:
-    """The depth image in a sensor_msgs/Image, deserialised by any library; see `decode_depth`.
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera: focal lengths and principal point in pixels of an image of `size_hw`.
 
-    Raises ImageError, also for a frame_id longer than MAX_FRAME_ID.
+    The principal point counts from the centre of the first pixel, as in sensor_msgs/CameraInfo. Raises
+    ImageError on construction unless focal lengths are in [0.1, 1e7], the principal point in
+    [-1e7, 1e7] and the sides in [1, 16384].
     """
-    layout = layout_of_message(image)
-    return decode_depth(image.data, **layout)
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    size_hw: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        are_focal_lengths = all(MIN_FOCAL_PX <= value <= MAX_PX for value in (self.fx, self.fy))
+        if not (are_focal_lengths and all(abs(value) <= MAX_PX for value in (self.cx, self.cy))):
+            raise ImageError(
+                f"Expected intrinsics with fx and fy of {MIN_FOCAL_PX:g} to {MAX_PX:g} pixels and cx and cy "
+                f"of at most {MAX_PX:g}, found fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
+                ". Calibrate the camera, or have its driver publish the intrinsics of the depth image."
+            )
+        if not all(1 <= side <= MAX_SIDE_PX for side in self.size_hw):
+            height, width = self.size_hw
+            raise ImageError(
+                f"Expected a camera_info with height and width of 1 to {MAX_SIDE_PX} pixels, found "
+                f"{height} x {width}. Have the driver fill in the size of the depth image."
+            )
+
+
+def intrinsics_of(k: Sequence[float], p: Sequence[float], size_hw: tuple[int, int]) -> Intrinsics:
+    """The intrinsics in the matrices of sensor_msgs/CameraInfo, row by row: `k` (3, 3) and `p` (3, 4).
+
+    `p` counts where it is filled in: depth images are rectified, and `p` is the camera of the rectified
+    image. Otherwise `k`. Raises ImageError for matrices of another size, and as `Intrinsics`.
+    """
+    if len(k) != 9 or len(p) != 12:
+        raise ImageError(
+            f"Expected a camera_info with K of 9 and P of 12 values, found {len(k)} and {len(p)}."
+        )
+    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
+    return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)
+
+
+def intrinsics_of_message(camera_info: Any) -> Intrinsics:
+    """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
+
+    Raises ImageError as `intrinsics_of`, and for a frame_id longer than MAX_FRAME_ID.
+    """
+    check_frame_id(camera_info)
+    return intrinsics_of(camera_info.k, camera_info.p, (camera_info.height, camera_info.width))

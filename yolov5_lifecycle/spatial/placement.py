@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.spatial.box_samples import SIDE
-from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
 from yolov5_lifecycle.spatial.surface import surfaces_m
 
 MAX_BOXES_AT_ONCE = 64

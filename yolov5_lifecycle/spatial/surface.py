@@ -12,8 +12,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.background import is_background
-from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, BoxSamples, around, inside, sampled
+from yolov5_lifecycle.spatial.box_samples import (
+    GRID,
+    IS_AROUND,
+    BoxSamples,
+    around,
+    inside,
+    is_background,
+    sampled,
+)
 from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
 
 _BIN_WIDTH = math.log(1.025)
@@ -60,21 +67,6 @@ Bins = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 
-_Slices = tuple[slice, slice, slice]
-
-
-def _pair(down: int, right: int) -> tuple[_Slices, _Slices]:
-    """Slices of all samples (n, GRID, GRID) with a neighbour in that direction, and of these neighbours."""
-    left, end = max(-right, 0), GRID - max(right, 0)
-    return (
-        (slice(None), slice(0, GRID - down), slice(left, end)),
-        (slice(None), slice(down, GRID), slice(left + right, end + right)),
-    )
-
-
-_NEIGHBOURS = tuple(_pair(down, right) for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)))
-
-
 def surfaces_m(depth: DepthImage, boxes_xyxy: NDArray[np.float32]) -> Array:
     """Depth in metres (n, SIDE, SIDE) of the surface of the object in each of the boxes (n, 4).
 
@@ -117,11 +109,10 @@ def _supported(foreground: Bins, samples: BoxSamples, depth: DepthImage) -> Bins
 
 def _has_neighbour(bins: Bins) -> Flags:
     """Whether one of the eight samples next to one is at most two bins away (n, GRID, GRID)."""
+    padded = np.pad(bins, ((0, 0), (1, 1), (1, 1)), constant_values=2 * _NO_BIN)
     has = np.zeros(bins.shape, np.bool_)
-    for one, other in _NEIGHBOURS:
-        is_near = abs(bins[one] - bins[other]) <= 2
-        has[one] |= is_near
-        has[other] |= is_near
+    for down, right in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+        has |= abs(bins - padded[:, down : down + GRID, right : right + GRID]) <= 2
     return has
 
 
@@ -189,7 +180,10 @@ def _shares(counted: Bins, bins: Bins) -> tuple[NDArray[np.float64], NDArray[np.
 
     `bins` (n, GRID, GRID) are those of all measurements, `counted` of those of which the share is.
     """
-    first, count = _used_bins(inside(bins))
+    # Two bins more than are used at each end, for neighbours and a fall.
+    last = max(int(inside(bins).max()), 0)
+    first = int(np.where(inside(bins) >= 0, inside(bins), last).min()) - 2
+    count = last - first + 3
     measured = (inside(bins) >= 0).sum(axis=(1, 2))
     measured_around = (around(bins) >= 0).sum(axis=1)
     least = _MIN_RING_SHARE * IS_AROUND.sum()
@@ -198,13 +192,6 @@ def _shares(counted: Bins, bins: Bins) -> tuple[NDArray[np.float64], NDArray[np.
         _counts(around(counted), first, count) / np.maximum(measured_around, least)[:, None],
         first,
     )
-
-
-def _used_bins(bins: Bins) -> tuple[int, int]:
-    """First bin and number of bins that hold samples, and two more at each end, for neighbours and a fall."""
-    last = max(int(bins.max()), 0)
-    first = int(np.where(bins >= 0, bins, last).min())
-    return first - 2, last - first + 5
 
 
 def _counts(bins: Bins, first: int, count: int) -> NDArray[np.float64]:

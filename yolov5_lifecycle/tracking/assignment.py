@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Indices = NDArray[np.intp]
-Solver = Callable[..., tuple[Indices, Indices]]
-"""`scipy.optimize.linear_sum_assignment`: rows and columns, one to one, with the largest sum of a matrix."""
 
 
-def load_solver() -> Solver:
-    """scipy's solver of the assignment problem, imported here because scipy is optional.
+def check_solver() -> None:
+    """Import scipy's solver of the assignment problem; scipy is optional.
 
     Raises ValueError, with how to install it, when it is not installed.
     """
     try:
-        from scipy.optimize import linear_sum_assignment
+        import scipy.optimize  # noqa: F401
     except ImportError as error:
         problem = str(error).partition("\n")[0]
         raise ValueError(
             f"The tracker 'bytetrack' needs scipy, which is not installed ({problem}). Install it with "
             f"{sys.executable} -m pip install scipy, or use the tracker 'none'."
         ) from None
-    solver: Solver = linear_sum_assignment
-    return solver
 
 
 def iou_matrix(
@@ -55,18 +50,20 @@ def iou_matrix(
 
 
 def best_pairs(
-    similarity: NDArray[np.float64], rows: Indices, columns: Indices, threshold: float, solver: Solver
+    similarity: NDArray[np.float64], rows: Indices, columns: Indices, threshold: float
 ) -> tuple[Indices, Indices]:
     """Rows and columns of `similarity`, one to one, with the largest sum of similarities.
 
     Only the given `rows` and `columns` take part, and only pairs of at least `threshold`, which is above 0.
     """
+    from scipy.optimize import linear_sum_assignment  # see check_solver
+
     gated = similarity[np.ix_(rows, columns)]
     gated[gated < threshold] = 0
     possible = gated > 0
     rows_taking_part, columns_taking_part = possible.any(axis=1), possible.any(axis=0)
     rows, columns = rows[rows_taking_part], columns[columns_taking_part]
     gated = gated[np.ix_(rows_taking_part, columns_taking_part)]
-    chosen_rows, chosen_columns = solver(gated, maximize=True)
+    chosen_rows, chosen_columns = linear_sum_assignment(gated, maximize=True)
     real = gated[chosen_rows, chosen_columns] > 0
     return rows[chosen_rows[real]], columns[chosen_columns[real]]

@@ -1,4 +1,4 @@
-"""ByteTrack: identities for the detections of one camera, in its stages.
+"""ByteTrack: identities for the detections of one camera, in its stages, and detection with identities.
 
 Zhang et al., "ByteTrack: Multi-Object Tracking by Associating Every Detection Box" (ECCV 2022), with time in
 seconds instead of frames.
@@ -8,16 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import Detector
+from yolov5_lifecycle.detection.nms import Selection, narrowed
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.assignment import Indices, Solver, best_pairs, iou_matrix, load_solver
-from yolov5_lifecycle.tracking.common_motion import CommonMotion
-from yolov5_lifecycle.tracking.motion import UNCONFIRMED, Array, Similarity, Tracks, xyxy_to_cxcywh
+from yolov5_lifecycle.tracking.assignment import Indices, best_pairs, check_solver, iou_matrix
+from yolov5_lifecycle.tracking.camera_motion import CameraMotion
+from yolov5_lifecycle.tracking.motion import (
+    UNCONFIRMED,
+    Array,
+    CommonMotion,
+    Similarity,
+    Tracks,
+    xyxy_to_cxcywh,
+)
 
 MAX_DETECTIONS = 1000
 """Detections tracked per image, highest scores first; bounds the time per image."""
@@ -53,7 +63,7 @@ class ByteTracker:
     """
 
     def __init__(self, ids: Iterator[int], counts: StampCounts | None = None) -> None:
-        self._solver = load_solver()
+        check_solver()
         self._ids = ids
         self._counts = counts or StampCounts()
         self._tracks = Tracks.none()
@@ -111,7 +121,7 @@ class ByteTracker:
         if camera is not None:
             tracks = tracks.seen_from(camera)
         tracks = self._with_common(tracks, detections, step_s, settings)
-        rows, columns = _associated(tracks, detections, settings, self._solver)
+        rows, columns = _associated(tracks, detections, settings)
         numbers = np.full(len(detections), UNCONFIRMED, np.int64)
         numbers[columns] = [number or next(self._ids) for number in tracks.numbers[rows].tolist()]
         seen = replace(
@@ -138,7 +148,7 @@ class ByteTracker:
         high = np.flatnonzero(detections.scores[:_LEADING] >= settings.track_high_threshold)
         similarity = _similarity(leading, detections, len(high), settings, self._common.variance_xy)
         everyone = np.arange(len(leading))
-        rows, columns = best_pairs(similarity, everyone, high, settings.track_match_threshold, self._solver)
+        rows, columns = best_pairs(similarity, everyone, high, settings.track_match_threshold)
         seen_xy = xyxy_to_cxcywh(detections.boxes_xyxy[columns])[:, :2]
         correction = self._common.correct(leading.position[rows, :2], seen_xy, size_px)
         return tracks if correction is None else tracks.seen_from(*correction)
@@ -158,9 +168,7 @@ def _latest(tracks: Tracks) -> Tracks:
     return tracks.at(np.sort(np.argsort(tracks.unseen_s, kind="stable")[:MAX_TRACKS]))
 
 
-def _associated(
-    tracks: Tracks, detections: Detections, settings: Settings, solver: Solver
-) -> tuple[Indices, Indices]:
+def _associated(tracks: Tracks, detections: Detections, settings: Settings) -> tuple[Indices, Indices]:
     """Rows of `tracks` and of the `detections` that continue them.
 
     First the confirmed tracks, lost ones included, are matched with the detections of a high score, then the
@@ -173,9 +181,9 @@ def _associated(
     similarity = _similarity(tracks, detections, len(high) + len(low), settings)
     threshold = settings.track_match_threshold
 
-    first = best_pairs(similarity, confirmed, high, threshold, solver)
-    second = best_pairs(similarity, _without(confirmed, first[0]), low, threshold, solver)
-    third = best_pairs(similarity, unconfirmed, _without(high, first[1]), threshold, solver)
+    first = best_pairs(similarity, confirmed, high, threshold)
+    second = best_pairs(similarity, _without(confirmed, first[0]), low, threshold)
+    third = best_pairs(similarity, unconfirmed, _without(high, first[1]), threshold)
     rows, columns = zip(first, second, third, strict=True)
     return np.concatenate(rows), np.concatenate(columns)
 
@@ -202,3 +210,56 @@ def _similarity(
     if not settings.track_across_classes:
         similarity[tracks.class_ids[:, None] != detections.class_ids[:count]] = 0
     return similarity
+
+
+@dataclass(frozen=True)
+class TrackedDetection:
+    """The tracker of one camera with its current settings; `with_settings` of others keeps the tracks.
+
+    The detector also reports lower scores, which may continue a track.
+    """
+
+    tracker: ByteTracker
+    settings: Settings
+    camera: CameraMotion = field(default_factory=CameraMotion)
+
+    @classmethod
+    def started(
+        cls, settings: Settings, ids: Iterator[int], counts: StampCounts | None = None
+    ) -> TrackedDetection | None:
+        """Without tracks; None if `settings` ask for no tracker. For `ids` and `counts` see ByteTracker."""
+        if settings.tracker == "none":
+            return None
+        return cls(ByteTracker(ids, counts), settings)
+
+    def with_settings(self, settings: Settings) -> TrackedDetection:
+        """The same tracker and tracks with `settings`."""
+        return replace(self, settings=settings)
+
+    def detect(
+        self, detector: Detector, image: ColourImage, selection: Selection, stamp_s: float
+    ) -> Detections:
+        """What `detector` finds in `image` with `selection`, and `track_ids`; `stamp_s` in seconds.
+
+        Raises InferenceError like `Detector.detect`.
+        """
+        return self.follow(detector.detect(image, self.wider(selection)), image, selection, stamp_s)
+
+    def wider(self, selection: Selection) -> Selection:
+        """`selection`, extended by what may continue a track."""
+        return selection.wider(self.settings.track_low_threshold)
+
+    def follow(
+        self, found: Detections, image: ColourImage, selection: Selection, stamp_s: float
+    ) -> Detections:
+        """The detections that `selection` admits, with `track_ids`.
+
+        `found`: those of the wider selection in `image`.
+        """
+        camera = None
+        if self.settings.track_camera_motion == "off":
+            self.camera.reset()
+        elif not self.tracker.is_late(stamp_s):
+            camera = self.camera.since_last(image, found.boxes_xyxy)
+        ids = self.tracker.update(found, stamp_s=stamp_s, settings=self.settings, camera=camera)
+        return narrowed(replace(found, track_ids=ids), selection)

@@ -53,7 +53,10 @@ class CameraMotion:
         if self._grey is not None and self._grey.shape == grey.shape:
             similarity = _similarity(self._grey, grey, self._corners)
         self._grey, self._corners = grey, _corners(grey, boxes_xyxy[:_BOXES] * np.tile(factors_xy, 2))
-        return None if similarity is None else _in_source_pixels(similarity, factors_xy)
+        if similarity is None:
+            return None
+        linear = similarity[:, :2] * factors_xy / factors_xy[:, None]
+        return np.column_stack((linear, similarity[:, 2] / factors_xy))
 
 
 _NO_CORNERS: Points = np.zeros((0, 1, 2), np.float32)
@@ -107,9 +110,3 @@ def _similarity(before: Grey, grey: Grey, corners: Points) -> Similarity | None:
         return None
     scale = float(np.hypot(*matrix[:, 0]))
     return matrix if np.isfinite(matrix).all() and _SCALES[0] <= scale <= _SCALES[1] else None
-
-
-def _in_source_pixels(similarity: Similarity, factors_xy: NDArray[np.float64]) -> Similarity:
-    """The same motion in pixels of the image."""
-    linear = similarity[:, :2] * factors_xy / factors_xy[:, None]
-    return np.column_stack((linear, similarity[:, 2] / factors_xy))

@@ -1,4 +1,6 @@
-"""Tracks and the motion of their boxes: a Kalman filter of constant velocity for each coordinate of each.
+"""Tracks, the motion of their boxes, and what this has in common: a camera that moved unexpectedly.
+
+Each coordinate of each box has a Kalman filter of constant velocity.
 
 A box is its centre and size (cx, cy, w, h), as in BoT-SORT (Aharon et al. 2022). The four are independent of
 each other, so instead of one filter with a state of eight there are four with a state of two, position and
@@ -12,8 +14,8 @@ with time instead of frames: it is the continuous white noise acceleration of Ba
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,18 +42,31 @@ MAX_MARGIN = 0.5
 MIN_SIZE_PX = 1.0
 """Smallest size that scales the noise, so that an empty box has some, too."""
 
+MIN_BOXES = 3
+"""With fewer boxes, what they have in common may be their own motion."""
+MIN_BOXES_TO_TURN = 5
+"""With fewer boxes there is no turn and no zoom."""
+_MIN_DENSITY, _MAX_DENSITY = 0.01, 200.0
+"""Of the variance that the velocity gains per second, in (box sizes / s)^2 / s."""
+_ADAPTION = 0.3
+"""How much of the normalised innovation, less the expected 1, the density's logarithm gains per image."""
+_MAX_INNOVATION = 10.0
+"""A larger normalised innovation counts as this one."""
+_MIN_SPREAD = 0.04
+"""Of the surprises of single boxes, in box sizes: the standard deviation of a detected centre."""
+_MIN_SIGNIFICANCE = 9.0
+"""Of turn and zoom, as a squared number of standard deviations."""
+_ROUNDS = 3  # of robust least squares
+
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """n tracks as parallel arrays; estimates are (n, 4), columns cx, cy, w, h in pixels, and seconds."""
+    """n tracks as parallel arrays; estimates are of cx, cy, w and h, in pixels and seconds."""
 
-    position: Array
-    velocity: Array
-    variance: Array
-    """Variance of the position."""
-    covariance: Array
-    """Covariance of position and velocity."""
-    velocity_variance: Array
+    estimates: Array
+    """(n, 2, 4): position and velocity."""
+    variances: Array
+    """(n, 3, 4): variance of the position, its covariance with the velocity, variance of the velocity."""
     class_ids: NDArray[np.int64]
     """(n,) class of the detection that each was last seen in."""
     numbers: NDArray[np.int64]
@@ -68,9 +83,12 @@ class Tracks:
         still = np.zeros_like(position)
         variance = still + measurement_std(position, scores, SAME_ERROR_S) ** 2
         speed_variance = (START_SPEED_STD * _size(position)) ** 2
-        numbers = np.full(len(scores), UNCONFIRMED, np.int64)
         return cls(
-            position, still, variance, still, speed_variance, class_ids, numbers, np.zeros(len(scores))
+            np.stack((position, still), axis=1),
+            np.stack((variance, still, speed_variance), axis=1),
+            class_ids,
+            np.full(len(scores), UNCONFIRMED, np.int64),
+            np.zeros(len(scores)),
         )
 
     @classmethod
@@ -80,6 +98,11 @@ class Tracks:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    @property
+    def position(self) -> Array:
+        """(n, 4) centre and size in pixels."""
+        return self.estimates[:, 0]
 
     @property
     def is_confirmed(self) -> NDArray[np.bool_]:
@@ -97,7 +120,7 @@ class Tracks:
 
         `common_variance_xy` (2,) is that of all centres together, in pixels squared.
         """
-        std = np.sqrt(self.variance[:, :2] + common_variance_xy)
+        std = np.sqrt(self.variances[:, 0, :2] + common_variance_xy)
         return np.minimum(std, MAX_MARGIN * _size(self.position))
 
     @property
@@ -112,19 +135,12 @@ class Tracks:
 
     def predicted(self, step_s: float) -> Tracks:
         """The tracks `step_s` seconds later; a box does not shrink below an empty one."""
-        position = self.position + self.velocity * step_s
-        np.maximum(position[:, 2:], 0, out=position[:, 2:])
+        estimates = self.estimates.copy()
+        estimates[:, 0] += estimates[:, 1] * step_s
+        np.maximum(estimates[:, 0, 2:], 0, out=estimates[:, 0, 2:])
         density = ACCELERATION_DENSITY * _size(self.position) ** 2
-        variances = self.variance, self.covariance, self.velocity_variance
-        variance, covariance, velocity_variance = later_variances(*variances, density, step_s)
-        return replace(
-            self,
-            position=position,
-            variance=variance,
-            covariance=covariance,
-            velocity_variance=velocity_variance,
-            unseen_s=self.unseen_s + step_s,
-        )
+        variances = later_variances(self.variances, density, step_s)
+        return replace(self, estimates=estimates, variances=variances, unseen_s=self.unseen_s + step_s)
 
     def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Tracks:
         """The tracks in an image to whose pixels `camera` maps those of the last one.
@@ -132,23 +148,10 @@ class Tracks:
         `velocity_xy` (2,) is added to the velocity of all centres.
         """
         linear, scale = camera[:, :2].T, float(np.hypot(*camera[:, 0]))
-        position, velocity = (
-            np.hstack((each[:, :2] @ linear, each[:, 2:] * scale)) for each in (self.position, self.velocity)
-        )
-        position[:, :2] += camera[:, 2]
-        velocity[:, :2] += velocity_xy
-        variance, covariance, velocity_variance = (
-            np.hstack((each[:, :2] @ linear**2, each[:, 2:] * scale**2))
-            for each in (self.variance, self.covariance, self.velocity_variance)
-        )
-        return replace(
-            self,
-            position=position,
-            velocity=velocity,
-            variance=variance,
-            covariance=covariance,
-            velocity_variance=velocity_variance,
-        )
+        estimates = _transformed(self.estimates, linear, scale)
+        estimates[:, 0, :2] += camera[:, 2]
+        estimates[:, 1, :2] += velocity_xy
+        return replace(self, estimates=estimates, variances=_transformed(self.variances, linear**2, scale**2))
 
     def corrected(
         self, boxes_xyxy: NDArray[np.floating], scores: NDArray[np.floating], step_s: float
@@ -158,46 +161,50 @@ class Tracks:
         `step_s`: seconds since the previous image.
         """
         measured = xyxy_to_cxcywh(boxes_xyxy)
-        uncertainty = self.variance + measurement_std(measured, scores, step_s) ** 2
-        gain, velocity_gain = self.variance / uncertainty, self.covariance / uncertainty
-        surprise = measured - self.position
+        noise = measurement_std(measured, scores, step_s)[:, None] ** 2
+        gain = self.variances[:, :2] / (self.variances[:, :1] + noise)
         return replace(
             self,
-            position=self.position + gain * surprise,
-            velocity=self.velocity + velocity_gain * surprise,
-            variance=self.variance * (1 - gain),
-            covariance=self.covariance * (1 - gain),
-            velocity_variance=self.velocity_variance - velocity_gain * self.covariance,
+            estimates=self.estimates + gain * (measured - self.position)[:, None],
+            variances=corrected_variances(self.variances, gain),
             unseen_s=np.zeros(len(self)),
         )
 
     def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Tracks:
         """The tracks in `rows`, indices or a mask."""
-        return Tracks(*(column[rows] for column in self.columns))
+        return Tracks(*(column[rows] for column in vars(self).values()))
 
     def followed_by(self, other: Tracks) -> Tracks:
         """These tracks, then those of `other`."""
-        return Tracks(*map(np.concatenate, zip(self.columns, other.columns, strict=True)))
-
-    @property
-    def columns(self) -> tuple[NDArray[Any], ...]:
-        """All arrays, in the order of the fields."""
-        return tuple(getattr(self, field.name) for field in fields(self))
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Tracks(*map(np.concatenate, pairs))
 
 
-def later_variances(
-    variance: Array, covariance: Array, velocity_variance: Array, density: Array | float, step_s: float
-) -> tuple[Array, Array, Array]:
-    """Of position, of both and of velocity, `step_s` seconds later.
+def _transformed(values: Array, linear: Array, scale: float) -> Array:
+    """The `values` (n, k, 4) of centres, mapped by `linear` (2, 2), and of sizes, times `scale`."""
+    rows = values.reshape(-1, 4)
+    return np.hstack((rows[:, :2] @ linear, rows[:, 2:] * scale)).reshape(values.shape)
 
-    `density`: the variance that the velocity gains per second, in (pixels / s)^2 / s.
+
+def later_variances(variances: Array, density: Array | float, step_s: float) -> Array:
+    """The `variances` (..., 3, k) of a `Tracks`, `step_s` seconds later.
+
+    `density` (..., k): the variance that the velocity gains per second, in (pixels / s)^2 / s.
     """
+    variance, covariance, velocity_variance = (variances[..., part, :] for part in range(3))
     drift = covariance + velocity_variance * step_s
-    return (
-        variance + (covariance + drift) * step_s + density * (step_s**3 / 3),
-        drift + density * (step_s**2 / 2),
-        velocity_variance + density * step_s,
-    )
+    later = np.empty_like(variances)
+    later[..., 0, :] = variance + (covariance + drift) * step_s + density * (step_s**3 / 3)
+    later[..., 1, :] = drift + density * (step_s**2 / 2)
+    later[..., 2, :] = velocity_variance + density * step_s
+    return later
+
+
+def corrected_variances(variances: Array, gain: Array) -> Array:
+    """The `variances` (..., 3, k) after a measurement, by the `gain` (..., 2, k) of both estimates."""
+    of_position, of_velocity = variances[..., :2, :], variances[..., 2:, :]
+    rest = of_velocity - gain[..., 1:, :] * of_position[..., 1:, :]
+    return np.concatenate((of_position * (1 - gain[..., :1, :]), rest), axis=-2)
 
 
 def xyxy_to_cxcywh(boxes_xyxy: NDArray[np.floating]) -> Array:
@@ -222,3 +229,90 @@ def measurement_std(boxes_cxcywh: Array, scores: NDArray[np.floating], step_s: f
 def _size(position: Array) -> Array:
     """(n, 1) mean of width and height in pixels."""
     return np.asarray(np.maximum(position[:, 2:].mean(axis=1, keepdims=True), MIN_SIZE_PX))
+
+
+class Correction(NamedTuple):
+    """What the tracks gain: their places are mapped, then their velocities grow."""
+
+    similarity: Similarity
+    velocity_xy: Array
+    """(2,) pixels per second."""
+
+
+class CommonMotion:
+    """What all boxes of a camera's image have in common, from the boxes alone.
+
+    A Kalman filter like that of one box, for how far the predictions of all tracks are off; x and y are
+    independent. What it finds is added to all tracks, lost ones included, so that only the uncertainty
+    remains here. The noise of the acceleration follows the innovations, so that little is added while a
+    camera stands still.
+    """
+
+    def __init__(self) -> None:
+        self._density = _MIN_DENSITY
+        self._variances = np.zeros((3, 2))
+        """Of place and velocity, see `Tracks.variances`."""
+
+    @property
+    def variance_xy(self) -> Array:
+        """(2,) of a predicted place, in pixels squared, besides that of its own track."""
+        return np.asarray(self._variances[0])
+
+    def predict(self, step_s: float, size_px: float) -> None:
+        """Let `step_s` seconds pass; `size_px`: of a usual box."""
+        self._variances = later_variances(self._variances, self._density * size_px**2, step_s)
+
+    def correct(self, predicted_xy: Array, seen_xy: Array, size_px: float) -> Correction | None:
+        """What the tracks gain as centres were `predicted_xy` (n, 2) and are `seen_xy` (n, 2).
+
+        None for fewer than MIN_BOXES, which say nothing about a camera.
+        """
+        if len(seen_xy) < MIN_BOXES:
+            # Certain again: without measurements the uncertainty would grow for ever.
+            self._variances = np.zeros((3, 2))
+            self._adapt(0.0)
+            return None
+        surprise = seen_xy - predicted_xy
+        middle = np.median(surprise, axis=0)
+        spread = np.maximum(1.48 * np.median(np.abs(surprise - middle), axis=0), _MIN_SPREAD * size_px)
+        uncertainty = self.variance_xy + (1.25 * spread) ** 2 / len(surprise)  # of a median
+        self._adapt(float(np.minimum(middle**2 / uncertainty, _MAX_INNOVATION).mean()))
+        gain = self._variances[:2] / uncertainty
+        self._variances = corrected_variances(self._variances, gain)
+        shift_xy, velocity_xy = gain * middle
+        turn = _turn(predicted_xy + shift_xy, surprise - middle, _MIN_SPREAD * size_px)
+        turn[:, 2] += turn[:, :2] @ shift_xy
+        return Correction(turn, velocity_xy)
+
+    def _adapt(self, innovation: float) -> None:
+        density = self._density * math.exp(_ADAPTION * (innovation - 1))
+        self._density = min(max(density, _MIN_DENSITY), _MAX_DENSITY)
+
+
+def _turn(places_xy: Array, surprise_xy: Array, min_spread_px: float) -> Similarity:
+    """The turn and zoom (2, 3) around the middle of `places_xy` (n, 2) that `surprise_xy` (n, 2) follow.
+
+    Robust least squares with Huber's weights. What is not significant is the identity.
+    """
+    if len(places_xy) < MIN_BOXES_TO_TURN:
+        return np.eye(2, 3)
+    middle = places_xy.mean(axis=0)
+    arms = places_xy - middle
+    across = np.stack((-arms[:, 1], arms[:, 0]), axis=1)
+    weights = np.ones(len(arms))
+    zoom = turn = significance = 0.0
+    for _ in range(_ROUNDS):
+        total = float((weights * (arms**2).sum(axis=1)).sum())
+        if total <= 0:
+            return np.eye(2, 3)
+        zoom = float((weights * (arms * surprise_xy).sum(axis=1)).sum()) / total
+        turn = float((weights * (across * surprise_xy).sum(axis=1)).sum()) / total
+        rest = np.linalg.norm(surprise_xy - zoom * arms - turn * across, axis=1)
+        scale = max(1.2 * float(np.median(rest)), min_spread_px)
+        weights = 1 / np.maximum(rest / scale, 1.0)
+        significance = (zoom**2 + turn**2) * total / scale**2
+    if significance < _MIN_SIGNIFICANCE:
+        return np.eye(2, 3)
+    gain = 1 - _MIN_SIGNIFICANCE / 2 / significance
+    linear = np.array(((1 + gain * zoom, -gain * turn), (gain * turn, 1 + gain * zoom)))
+    return np.column_stack((linear, middle - linear @ middle))

@@ -109,7 +109,6 @@ def test_the_labels_are_those_of_the_chosen_images(data: Path) -> None:
     [
         pytest.param("images/val", DataOptions(split="val"), "split", id="images"),
         pytest.param("truth.json", DataOptions(split="val"), "split", id="COCO"),
-        pytest.param(".", DataOptions(topic="/image"), "topic", id="YOLO"),
     ],
 )
 def test_an_option_that_does_not_apply_is_refused(
@@ -127,7 +126,7 @@ def loss_on(path: Path, fp32: Detector, int8: Detector) -> float | str:
     settings = validated({"image_size": 320})
     with labelled_data(path, DataOptions(), problems) as found:
         return map_loss(
-            found, load_weights(Path(WEIGHTS)), settings, detectors, listener=QUIET, problems=problems
+            found, load_weights(Path(WEIGHTS)), settings, detectors, observer=QUIET, problems=problems
         )
 
 

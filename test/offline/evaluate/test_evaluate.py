@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
+from support.detected_offline import prepare_once
 from support.evaluated_offline import (
     FAST,
     WEIGHTS,
     as_coco,
     evaluate,
     labelled_drive,
-    prepare_once,
     report_of,
     run,
     shapes,

@@ -10,32 +10,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin
 from support.damaged_images import claiming_too_much
+from support.detected_offline import prepare_raising
 from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, report_of, run, shapes
 from support.recorded_scene import raw, record
-from support.scripted_runtime import ScriptedRuntime
 
-from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.offline.evaluate import evaluating
 from yolov5_lifecycle.offline.evaluate.command import main
 from yolov5_lifecycle.runtimes.runtime import InferenceError
-from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 
 @pytest.fixture
 def data(tmp_path: Path) -> Path:
     return shapes(tmp_path / "shapes", images=6)
-
-
-def prepare_raising(error: BaseException) -> Prepare:
-    def detect() -> NDArray[np.float32]:
-        raise error
-
-    detector = Detector(ScriptedRuntime(detect), class_names=CLASS_NAMES, image_size=320, stride=32)
-    return lambda settings, _: PreparedModel(settings, detector, Path("/raising.pt"), "0" * 64)
 
 
 @pytest.mark.long

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from pyarrow import parquet
@@ -32,17 +31,13 @@ from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
 from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, RecordingResult
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Work, Worker
+from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Work
 from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.ros.child_process import entry_point
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 LENGTHS = {"east": COUNT, "north": 4}
-
-
-def terminal() -> Terminal:
-    return Terminal("detect_bag", shows_progress=True)
 
 
 @pytest.fixture(scope="module")
@@ -55,32 +50,13 @@ def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-class LocalWorker(Worker):
-    """A worker in this process."""
-
-    def __init__(self) -> None:
-        self._work = Work()
-
-    def restart(self) -> None:
-        """It does not die."""
-
-    def stop(self) -> None:
-        """It is at an end when its method is."""
-
-    def close(self) -> None:
-        """It has nothing open."""
-
-    def _answer(self, method: str, argument: object, on_image: OnImage) -> Any:
-        return getattr(self._work, method)(argument)
-
-
 @pytest.fixture(scope="module")
 def found(drives: Path) -> Path:
-    """The results of a worker."""
+    """The results of the command."""
     output = drives.parent / "found"
-    sources, plan = recordings_of([drives], output), plan_for(output, tracker="bytetrack")
-    batch = detect_recordings(sources, plan, new_workers=lambda _: [LocalWorker()], terminal=terminal())
-    assert not batch.is_complete
+    assert (
+        main([str(drives), "--output", str(output), "--jobs", "1", "--track", *SET_MODEL]) == EXIT_INCOMPLETE
+    )
     return output
 
 
@@ -165,8 +141,8 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(
     drives = record_drives(tmp_path / "drives", lengths)
     output, hunted = tmp_path / "found", HuntedWorker()
     sources, plan = recordings_of([drives], output), plan_for(output)
-    workers = [hunted, ProcessWorker(2)]
-    batch = detect_recordings(sources, plan, new_workers=lambda _: workers, terminal=terminal())
+    workers, terminal = [hunted, ProcessWorker(2)], Terminal("detect_bag", shows_progress=True)
+    batch = detect_recordings(sources, plan, new_workers=lambda _: workers, terminal=terminal)
     told = capsys.readouterr().err
     assert f"detect_bag: {hunted.killed}: the worker died (signal 9); another worker retries it\n" in told
     assert {name: row.images for name, row in batch.results.items() if row.state == "done"} == lengths

@@ -166,14 +166,6 @@ def test_each_format_with_or_without_crops_is_another_result(tmp_path: Path) -> 
     assert len({plan.settings_sha256 for plan in plans}) == 2 * len(formats)
 
 
-def test_a_broken_video_fails_with_the_reason(tmp_path: Path) -> None:
-    (tmp_path / "broken.mp4").write_bytes(b"no video")
-    row = result_of(tmp_path / "broken.mp4", plan_for(tmp_path / "found"))
-    assert row.state == "failed"
-    assert "neither as an image nor as a video" in row.reason
-    assert list((tmp_path / "found").iterdir()) == []
-
-
 @pytest.fixture
 def source(tmp_path: Path) -> SourceRecording:
     (tmp_path / "drive").mkdir()

@@ -9,7 +9,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, get_args
 
-import cv2
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -18,7 +17,7 @@ from std_msgs.msg import Header
 from support.camera_info_file import camera_info_url
 from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
-from support.detector_process import PARAMETERS, SCENE, as_arguments, detector_process
+from support.detector_process import as_arguments
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.lone_node import lone_node
 from support.sighting import Sighting
@@ -34,10 +33,8 @@ from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, label_image
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
 from yolov5_lifecycle.sources.source import open_source
-from yolov5_lifecycle.spatial.depth_image import depth_image_of_message
-from yolov5_lifecycle.spatial.intrinsics import intrinsics_of_message
+from yolov5_lifecycle.spatial.depth_image import depth_image_of_message, intrinsics_of_message
 
-README = REPOSITORY / "README.md"
 RELIABLE = QoSProfile(depth=10)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -256,31 +253,7 @@ def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain
     assert (info.k[4], info.r[8], info.p[10]) == (437.34, 1, 1)
 
 
-@pytest.fixture
-def scene_video(tmp_path: Path) -> Path:
-    """A second of the scene that the small model knows."""
-    path = tmp_path / "video.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (320, 240))
-    assert writer.isOpened()
-    for index in range(30):
-        writer.write(cv2.cvtColor(SCENE.frame(index)[0], cv2.COLOR_RGB2BGR))
-    writer.release()
-    return path
-
-
-def readme_commands() -> dict[str, str]:
-    """The words behind `camera` and `detector` in the README's section on a video."""
-    section = README.read_text().partition("\n## Your video instead of a camera\n")[2].partition("\n## ")[0]
-    return dict(re.findall(r"^(camera|detector) (.*)$", section, re.MULTILINE))
-
-
-@pytest.mark.long
-def test_the_objects_in_a_video_are_detected_with_the_commands_of_the_readme(scene_video: Path) -> None:
-    words = readme_commands()
-    of_camera = words["camera"].replace("video.mp4", str(scene_video)).split()
-    of_detector = words["detector"].split() + as_arguments(PARAMETERS | {"runtime": "torch"})
-    assert of_detector.pop(0) == "--ros-args"
-    with detector_process(*of_detector) as detector, camera_process(detector.domain, *of_camera):
-        detector.observer.wait_for(
-            lambda: any(message.detections for message in detector.detections), "detections of something"
-        )
+def test_camera_and_detector_of_the_readme_name_the_same_topic_for_a_video() -> None:
+    text = (REPOSITORY / "README.md").read_text().partition("source:=video.mp4 ")[2].partition("```")[0]
+    camera, detector = re.findall(r"image_raw:=(\S+)", text)
+    assert camera == detector

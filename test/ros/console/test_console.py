@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -142,21 +141,10 @@ def test_a_change_reaches_the_node_and_all_pages(console: ConsoleBesideNode, pag
     assert page.set(confidence_threshold=0.25, classes=[], regions=[]) == ""
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        pytest.param({"confidence_threshold": 7}, "7.0 is not a number from 0 to 1", id="range"),
-        pytest.param({"confidence_treshold": 0.5}, "Did you mean 'confidence_threshold'?", id="name"),
-        pytest.param({"autostart": True}, "read-only", id="read-only"),
-        pytest.param({"iou_threshold": 0.9, "max_rate": -1.0}, "max_rate", id="one of two"),
-        pytest.param({"lazy": "yes"}, "lazy: expected true or false", id="type"),
-    ],
-)
-def test_a_refused_change_has_the_words_of_the_node(
-    page: Page, values: dict[str, object], words: str
-) -> None:
+def test_a_refused_change_has_the_words_of_the_node_or_console_and_changes_nothing(page: Page) -> None:
     before = page.parameter("iou_threshold")["value"]
-    assert words in page.set(**values)
+    assert "max_rate: -1.0 is not a number" in page.set(iou_threshold=0.9, max_rate=-1.0)
+    assert "lazy: expected true or false" in page.set(iou_threshold=0.9, lazy="yes")
     assert page.parameter("iou_threshold")["value"] == before
 
 
@@ -203,32 +191,6 @@ def test_cameras_are_set_and_their_overrides_come_and_go(console: ConsoleBesideN
     assert page.set(cameras=[]) == ""
 
 
-def test_the_balance_grows_while_images_come(console: ConsoleBesideNode, page: Page) -> None:
-    assert page.set(lazy=False) == ""
-    activate(page)
-    console.served.detect()
-    page.wait_for(lambda: page.nodes[NODE]["cameras"][0]["balance"].get("detected", 0) > 0, "the balance")
-    balance = dict(page.nodes[NODE]["cameras"][0]["balance"])
-    assert balance.pop("received") == sum(balance.values())
-    assert page.set(lazy=True) == ""
-
-
-@pytest.mark.long
-def test_a_page_asks_for_an_image_and_is_told_the_answer_of_the_node(tmp_path: Path) -> None:
-    with (
-        console_beside_node(parameters=(f"collect_dir:={tmp_path}",)) as beside,
-        beside.client.page() as page,
-    ):
-        page.wait_for_state("unconfigured")
-        assert page.ask(type="collect") == "no camera collects: activate the node, and set collect to true"
-        assert page.set(collect=True) == ""
-        activate(page)
-        number = page.begin(type="collect")
-        page.wait_for(lambda: number in page.answers, "the answer")
-        expected = {"ok": True, "reason": "", "result": "the next image is kept"}
-        assert expected.items() <= page.answers[number].items()
-
-
 @pytest.mark.long
 def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page) -> None:
     name = "/second"
@@ -247,6 +209,7 @@ def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page)
         assert len(lines) == 3  # of all processes
         assert page.parameter("max_rate", name)["value"] == 3.0
         assert page.ask(type="transition", node=name, label="configure") == ""
+    page.wait_for(lambda: name not in page.nodes, "its end, too: the next test begins without it")
 
 
 class JpegPublisher:
@@ -478,8 +441,7 @@ def test_many_managed_nodes_hide_a_detector_only_if_they_look_like_one(
         process = stack.enter_context(console_process(console.domain))
         other = stack.enter_context(ConsoleClient(address(process)).page())
         if like_detectors:
-            other.wait_for(lambda: other.omitted.get("count", 0) >= 8, "the number of those left out")
-            assert other.omitted["names"][0].startswith("/a")
+            process.wait_for_output("further nodes are left out, /a", PATIENCE_S)
         else:
             other.wait_for(lambda: NODE in other.nodes, "the detector behind the others")
             assert [*other.nodes] == [NODE]

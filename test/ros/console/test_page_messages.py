@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -21,8 +20,7 @@ from support.many_detectors import ACTIVE, CLASS_NAMES, NAMES, REFUSED, UNCONFIG
 
 pytestmark = pytest.mark.long
 
-LONG = [f"/a_robot_with_a_long_name/a_detector_with_a_long_name_{number}" for number in range(8)]
-MAX_BAR_PX = MAX_NOTICE_PX = 100
+MAX_BAR_PX = 100
 CHIP = '[data-name="class 70"]'
 HELD = """
     window.opened = [];
@@ -77,7 +75,6 @@ TAINT = """
       addEventListener(type, heard) {
         super.addEventListener(type, type !== "message" || !this.url.endsWith("/ws") ? heard : ({ data }) => {
           heard({ data: JSON.stringify(tainted(JSON.parse(data))) });
-          heard({ data: JSON.stringify({ type: "omitted", count: 1, names: [hostile] }) });
         });
       }
     };
@@ -87,7 +84,7 @@ PLACES = (
     "title", "nav a", "main h2", ".state", "[data-transition]", ".camera h3", ".camera .message",
     ".reason .text", ".parameter .name", ".parameter > .hint", ".chip", "option",
     ".diagnostics .subject", ".diagnostics p", ".diagnostics dt", ".diagnostics dd", ".log .text",
-    "#omitted", "#missing",
+    "#missing",
 )  # fmt: skip
 
 
@@ -264,21 +261,6 @@ def test_a_detector_that_is_gone_is_shown_as_the_console_tells_it(screen: Chrome
     deliver(screen, type="gone", name="/brief", node={**gone, "name": "/brief"})  # was never sent before
     tab = screen.find_element(By.CSS_SELECTOR, f'nav a[href="#{quote("/brief", safe="")}"]')
     assert tab.text.endswith("lost")
-
-
-def test_nodes_that_are_left_out_are_named_until_there_are_none(screen: Chrome, console_url: str) -> None:
-    opened_page(screen, console_url)
-    omitted = screen.find_element(By.ID, "omitted")
-    for count, names, expected in (
-        (1, ["/a"], "1 further node is left out.*: /a. "),
-        (40, LONG, f"40 further nodes are left out.*: {', '.join(LONG)} and 32 more. "),
-    ):
-        deliver(screen, type="omitted", count=count, names=names)
-        assert re.match(expected, omitted.text)
-        assert omitted.size["height"] <= MAX_NOTICE_PX
-        assert screen.execute_script("return document.documentElement.scrollWidth") <= PHONE[0]
-    deliver(screen, type="omitted", count=0, names=[])
-    assert not omitted.is_displayed()
 
 
 def test_a_value_that_is_not_shown_is_not_empty_and_cannot_be_edited(

@@ -162,17 +162,22 @@ def refused_status(client: ConsoleClient, path: str, headers: dict[str, str]) ->
     return refusal.value.response.status_code
 
 
-def test_a_socket_of_a_rebound_name_is_refused(local: ConsoleClient) -> None:
+@pytest.mark.parametrize(
+    "request_text",
+    [
+        pytest.param(UPGRADE.replace("{host}", "evil.example:{port}"), id="socket of a rebound name"),
+        pytest.param(
+            "GET / HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nOrigin: http://evil.example\r\n\r\n",
+            id="two origins",
+        ),
+    ],
+)
+def test_a_request_that_no_browser_sends_for_the_page_is_refused(
+    local: ConsoleClient, request_text: str
+) -> None:
+    port = place_of(local)[1]
     with connected(local) as connection:
-        connection.sendall(UPGRADE.format(host=f"evil.example:{place_of(local)[1]}").encode())
-        assert b" 403 " in connection.recv(4096).partition(b"\r\n")[0]
-
-
-def test_a_request_of_two_origins_is_refused(local: ConsoleClient) -> None:
-    own = f"127.0.0.1:{place_of(local)[1]}"
-    request = f"GET / HTTP/1.1\r\nHost: {own}\r\nOrigin: http://{own}\r\nOrigin: {FOREIGN}\r\n\r\n"
-    with connected(local) as connection:
-        connection.sendall(request.encode())
+        connection.sendall(request_text.format(host=f"127.0.0.1:{port}", port=port).encode())
         assert b" 403 " in connection.recv(4096).partition(b"\r\n")[0]
 
 

@@ -102,21 +102,10 @@ def test_the_demo_says_why_it_cannot_run(
     assert capsys.readouterr().out.startswith("demo failed: ")
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "told"),
-    [
-        pytest.param(["--help"], 0, "usage: demo", id="help"),
-        pytest.param(["fast"], 2, "unrecognized arguments: fast", id="unknown"),
-        pytest.param(["--console", "--cameras"], 2, "not allowed with argument", id="two at once"),
-    ],
-)
-def test_the_arguments_are_explained(
-    words: list[str], code: int, told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(words)
-    assert ended.value.code == code
-    assert told in "".join(capsys.readouterr())
+def test_two_demonstrations_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["--console", "--cameras"])
+    assert "not allowed with argument" in capsys.readouterr().err
 
 
 @pytest.mark.long

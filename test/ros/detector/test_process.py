@@ -6,10 +6,7 @@ import shutil
 import signal
 from pathlib import Path
 
-import numpy as np
 import pytest
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Image
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import (
     NODE,
@@ -20,11 +17,9 @@ from support.detector_process import (
     detector_process,
     environment,
     parameter_file,
-    scene_image,
 )
 from support.random_model import blank_model
 from support.runtime_names import EVERY_RUNTIME
-from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray
 
 from benchmark.process_memory import resident_mb
@@ -34,7 +29,7 @@ from yolov5_lifecycle.quantization.calibration_file import path_beside, read_cal
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.ground_truth import matched
 from yolov5_lifecycle.ros.detector.command import FINALIZED_S
-from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
+from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
@@ -69,42 +64,6 @@ def test_a_camera_and_the_detector_find_the_shapes_where_they_are(detector: Dete
         observer.wait_for(lambda: stamp_ns(messages[-1].header) > last_ns, "messages once active again")
         assert camera.stop(signal.SIGINT) == 0
     observer.destroy_subscription(subscription)
-
-
-def test_an_unreadable_image_is_counted_and_one_without_shapes_gives_an_empty_message(
-    active: DetectorProcess,
-) -> None:
-    active.look()
-    rejected = int(active.status()["frames rejected"])
-    image = scene_image()
-    image.encoding = "32FC1"
-    active.publish(image)
-    status = active.wait_until_rejected(rejected + 1, "32FC1")
-    assert int(status["frames rejected"]) == rejected + 1
-    assert len(active.look().scores) > 0
-    image = scene_image()
-    image.data[:] = type(image.data)("B", bytes([114]) * len(image.data))
-    assert active.detect(image).detections == []
-
-
-def test_the_annotated_image_has_the_header_of_its_source_and_boxes_drawn(active: DetectorProcess) -> None:
-    drawn: list[Image] = []
-    topic = f"{NODE}/image"
-    subscription = active.observer.create_subscription(Image, topic, drawn.append, QoSProfile(depth=1))
-
-    def is_discovered() -> bool:
-        active.look()
-        return bool(drawn)
-
-    active.observer.wait_for(is_discovered, "the node to discover the subscriber")
-    source = scene_image()
-    found = Sighting.of(active.detect(source))
-    active.observer.wait_for(lambda: drawn[-1].header == source.header, "the annotated image")
-    active.observer.destroy_subscription(subscription)
-    changed = (image_of_message(drawn[-1]).pixels != image_of_message(source).pixels).any(axis=2)
-    for x1, y1, _, y2 in np.rint(found.boxes_xyxy).astype(int):
-        left_side = changed[y1 + 3 : y2 - 3, max(x1 - 1, 0) : x1 + 2]
-        assert left_side.any(axis=1).mean() > 0.9
 
 
 @pytest.mark.long

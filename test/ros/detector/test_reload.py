@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import yaml
 from support.preparations import Preparations, prediction
-from support.random_model import TINY, random_model, random_network
+from support.random_model import random_model
 from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
-from support.worker import worker_domain
 
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import prepare_model
-from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.settings.settings import SETTINGS
 
 
 def test_a_reload_swaps_the_model_and_frees_the_old_one(served: ServedNode, prepare: Preparations) -> None:
     served.bring_to("active")
     served.detect()
-    assert served.set(image_size=320, weights="/other.pt", confidence_threshold=0.5) == (True, "")
+    changed = {"weights": "/other.pt", "confidence_threshold": 0.5, "image_reliability": "reliable"}
+    assert served.set(image_size=320, **changed) == (True, "")
     old, new = prepare.runtimes
     assert old.is_closed
     assert not new.is_closed
@@ -110,19 +106,6 @@ def test_leaving_active_wins_over_a_reload(served: ServedNode, prepare: Preparat
     assert all(runtime.is_closed for runtime in prepare.runtimes)
 
 
-def test_new_weights_without_the_class_of_a_threshold_are_refused_with_the_parameter_to_change(
-    served: ServedNode, prepare: Preparations
-) -> None:
-    served.bring_to("active")
-    assert served.set(class_thresholds=["cat: 0.5"]) == (True, "")
-    prepare.class_names = ("star", "circle")
-    done, reason = served.set(weights="/other.pt")
-    assert not done
-    assert "class_thresholds: 'cat' is not a class of the model" in reason
-    assert "`class_thresholds` still names classes of the running model" in reason
-    assert class_ids_of(served.detect()) == ["cat"]
-
-
 # Weights files
 
 
@@ -174,36 +157,3 @@ def test_a_bad_file_is_refused_by_activate_and_by_a_swap(real: ServedNode, good:
     assert real.set(weights_sha256=digest) == (True, "")
     assert real.get("weights") == str(good)
     assert real.detect().header.stamp.sec > 0
-
-
-@pytest.mark.long
-def test_a_swap_to_a_model_without_a_filtered_class_is_explained(real: ServedNode, good: Path) -> None:
-    other = good.with_name("other.safetensors")
-    fruit = dataclasses.replace(TINY, classes=2)
-    write_safetensors(Model(fruit, ("apple", "pear"), random_network(1, fruit).state_dict()), other)
-    real.bring_to("active")
-    kept = real.label_info().class_map[0].class_name
-    assert real.set(classes=[kept]) == (True, "")
-    done, reason = real.set(weights=str(other))
-    assert not done
-    assert f"'{kept}' is not a class of the model (apple, pear)" in reason
-    assert real.get("weights") == str(good)
-    assert real.set(weights=str(other), classes=["pear"]) == (True, "")
-    assert [label.class_name for label in real.label_info().class_map] == ["apple", "pear"]
-
-
-def test_dumped_parameters_fed_back_reproduce_the_configuration(
-    served: ServedNode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert served.set(classes=["0"], confidence_threshold=0.5, lazy=False, max_rate=3.0) == (True, "")
-    served.bring_to("active")
-    digest = served.values()["configuration"]
-    values = {setting.name: served.get(setting.name) for setting in SETTINGS}
-    dump = tmp_path / "dump.yaml"
-    dump.write_text(yaml.dump({"/yolov5": {"ros__parameters": values | {"use_sim_time": False}}}))
-    # In one domain a request would be answered by both nodes of this name.
-    with worker_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(dump)]) as again:
-            again.bring_to("inactive")
-            assert again.values()["configuration"] == digest

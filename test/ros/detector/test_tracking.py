@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
-from support.preparations import Preparations, prediction
+from support.preparations import Preparations
 from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection2DArray
 
@@ -114,21 +112,3 @@ def test_a_late_image_is_published_without_ids_and_counted(tracking: ServedNode)
     values, counts = tracking.values(), tracking.counts()
     assert (values["late images not tracked"], values["jumps back in time"]) == ("1", "0")
     assert counts["detected"] - before["detected"] == counts["received"] - before["received"] == 4
-
-
-def test_only_what_the_threshold_admits_is_published(tracking: ServedNode, prepare: Preparations) -> None:
-    def scored(score: float) -> NDArray[np.float32]:
-        return prediction("cat", score)
-
-    ids_at(tracking, 1, 2)
-    prepare.running.run = lambda: scored(0.2)
-    assert ids_at(tracking, 3, 4) == []
-    prepare.running.run = lambda: scored(0.9)
-    assert ids_at(tracking, 5) == ["1"]
-
-
-def test_thresholds_that_contradict_each_other_are_refused(tracking: ServedNode) -> None:
-    done, reason = tracking.set(track_low_threshold=0.5)
-    assert not done
-    assert "track_low_threshold: 0.5 is above track_high_threshold, 0.25" in reason
-    assert tracking.get("track_low_threshold") == 0.1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
 from yolov5_lifecycle.offline.evaluate.arguments import add_data_options
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
 
@@ -49,7 +49,11 @@ def command_parser() -> argparse.ArgumentParser:
     )
     add_data_options(parser)
     parser.add_argument(
-        "--images", type=_count, default=200, metavar="N", help="use at most N images (default: %(default)s)"
+        "--images",
+        type=count_up_to(2000, "images"),
+        default=200,
+        metavar="N",
+        help="use at most N images (default: %(default)s)",
     )
     parser.add_argument(
         "--image-size",
@@ -67,9 +71,3 @@ def command_parser() -> argparse.ArgumentParser:
             help="like the setting of the same name (default: %(default)s)",
         )
     return parser
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and len(text) < 5 and 1 <= int(text) <= 2000):
-        raise argparse.ArgumentTypeError(f"expected 1 to 2000, found {text!r}")
-    return int(text)

@@ -97,7 +97,7 @@ def _opened(
 
         with open_recording(path) as recording:
             topic = recording.image_topic(options.topic)
-            yield Source(recording.images(topic), topic.count), None
+            yield Source(recording.messages(topic), topic.count), None
     elif has_labels(path):
         with labelled_data(path, options, problems) as data:
             yield Source(data.images(), data.expected), data

@@ -24,13 +24,12 @@ from yolov5_lifecycle.offline.calibrate.calibration_images import (
 )
 from yolov5_lifecycle.offline.calibrate.measuring import SENSITIVITY_FRAMES, Calibrating, Worth, map_loss
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
-from yolov5_lifecycle.offline.terminal import Terminal
+from yolov5_lifecycle.offline.terminal import Terminal, exit_code
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.standard_streams import complain, write_output
+from yolov5_lifecycle.process.standard_streams import write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
 from yolov5_lifecycle.runtimes.processor_abilities import abilities
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes
-from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
@@ -41,16 +40,12 @@ _MAX_PATH = 4096
 
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = command_parser().parse_args(argv)
-    try:
+
+    def run() -> int:
         with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
-            text = _run(arguments, terminal)
-    except (ValueError, OSError, ImportError, InferenceError) as error:
-        complain(_COMMAND, error)
-        return 1
-    except KeyboardInterrupt:
-        complain(_COMMAND, "interrupted; nothing was written")
-        return 130
-    return write_output(_COMMAND, text)
+            return write_output(_COMMAND, _calibrated(arguments, terminal))
+
+    return exit_code(_COMMAND, run)
 
 
 def report(calibration: Calibration, worth: Worth, path: Path) -> str:
@@ -89,7 +84,7 @@ def verdict(worth: Worth, image_size: int) -> str:
     return f"int8 pays: {reason}. With image_size {image_size}, type: ros2 param set /yolov5 precision int8"
 
 
-def _run(arguments: argparse.Namespace, terminal: Terminal) -> str:
+def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
     """Write the calibration and return the summary."""
     if COARSE_RUNTIME not in installed_runtimes():
         raise DeviceError(
@@ -103,19 +98,14 @@ def _run(arguments: argparse.Namespace, terminal: Terminal) -> str:
     weights = load_weights(arguments.weights)
     path: Path = arguments.output or path_beside(weights.path)
     _check_output(path)
-
-    def remark(problem: str) -> None:
-        terminal.close()
-        complain(_COMMAND, problem)
-
-    problems = Problems(remark)
+    problems = Problems(terminal.tell)
     data = _data(arguments, weights.model.architecture, problems, terminal)
     selection = Selection(
         confidence_threshold=settings.confidence_threshold, iou_threshold=settings.iou_threshold
     )
     calibrating = Calibrating(weights.model, data.images, selection=selection, tell=terminal.begin)
     quantization = calibrating.quantization()
-    loss = partial(map_loss, data.labelled, weights, settings, listener=terminal, problems=problems)
+    loss = partial(map_loss, data.labelled, weights, settings, observer=terminal, problems=problems)
     worth = calibrating.worth(quantization, loss)
     calibration = Calibration.of(quantization, weights.sha256, settings.image_size)
     write_calibration(path, calibration)

@@ -22,7 +22,7 @@ from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.calibrate.calibration_images import halves
-from yolov5_lifecycle.offline.detecting import DetectingError, ProgressListener
+from yolov5_lifecycle.offline.detecting import DetectingError, RunObserver
 from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData, evaluate_models
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive, network_pixels
@@ -158,7 +158,7 @@ def map_loss(
     settings: Settings,
     detectors: Mapping[str, Detector],
     *,
-    listener: ProgressListener,
+    observer: RunObserver,
     problems: Problems,
 ) -> float | str:
     """Points of mAP@50:95 that the second of `detectors` loses against the first, or why that is unknown.
@@ -176,7 +176,7 @@ def map_loss(
     wanted = [settings.model_copy(update={"precision": precision}) for precision in detectors]
     try:
         classes, evaluations = evaluate_models(
-            data, wanted, listener=listener, problems=problems, prepare=prepared
+            data, wanted, observer=observer, problems=problems, prepare=prepared
         )
     except (DataError, DetectingError) as error:
         return str(error)

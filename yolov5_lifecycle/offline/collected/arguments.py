@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
 
 MAX_SHOWN = 10_000
 """Images on one contact sheet; each takes about 15 kB."""
@@ -30,7 +30,7 @@ def command_parser() -> argparse.ArgumentParser:
     sheet.add_argument("--output", type=Path, required=True, metavar="SHEET.html", help="a new file")
     sheet.add_argument(
         "--most",
-        type=_count,
+        type=count_up_to(MAX_SHOWN, "images"),
         default=500,
         metavar="N",
         help="show the N most valuable images; default: %(default)s",
@@ -51,13 +51,6 @@ def command_parser() -> argparse.ArgumentParser:
         "--reason", action="append", default=[], help="those that were kept for no other reason than these"
     )
     return parser
-
-
-def _count(text: str) -> int:
-    count = int(text)
-    if not 1 <= count <= MAX_SHOWN:
-        raise argparse.ArgumentTypeError(f"expected a number from 1 to {MAX_SHOWN}, found {text}")
-    return count
 
 
 def _share(text: str) -> float:

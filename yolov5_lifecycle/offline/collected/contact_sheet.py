@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from yolov5_lifecycle.collecting.candidate import Trigger
 from yolov5_lifecycle.collecting.collected_files import (
     MAX_IMAGE_BYTES,
     CollectedFrame,
@@ -18,7 +19,6 @@ from yolov5_lifecycle.collecting.collected_files import (
     read_record,
     with_names,
 )
-from yolov5_lifecycle.collecting.triggers import Trigger
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.images.compressed import decode_image_file, encode_jpeg

@@ -11,18 +11,16 @@ from dataclasses import fields
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
-from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
+from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.detector_options import wanted_settings
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions, command_parser
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
 from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
-from yolov5_lifecycle.offline.terminal import Terminal
-from yolov5_lifecycle.process.missing_package import absence_of, import_problem
-from yolov5_lifecycle.process.standard_streams import complain, write_output
-from yolov5_lifecycle.runtimes.runtime import InferenceError
+from yolov5_lifecycle.offline.terminal import Terminal, exit_code
+from yolov5_lifecycle.process.missing_package import absence_of
+from yolov5_lifecycle.process.standard_streams import write_output
 from yolov5_lifecycle.settings.parameter_file import string_assignment
-from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -41,29 +39,21 @@ _USELESS = {
 def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model) -> int:
     parser = command_parser()
     arguments = parser.parse_args(argv)
-    try:
+
+    def run() -> int:
         if not arguments.data.exists():
             raise FileNotFoundError(f"{arguments.data}: file or folder not found")
         options = DataOptions(**{each.name: getattr(arguments, each.name) for each in fields(DataOptions)})
         if problem := _usage_problem(arguments, options):
             parser.error(problem)
-        with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
-            return write_output(_COMMAND, _evaluated(arguments, options, terminal, prepare))
-    except SettingsError as error:
-        problems = "".join(f"\n  {problem}" for problem in error.problems)
-        complain(_COMMAND, f"{len(error.problems)} problem(s) in the settings:{problems}")
-    except ImportError as error:
-        complain(_COMMAND, import_problem(error))
-    except (ValueError, OSError, DetectingError, InferenceError) as error:
-        complain(_COMMAND, str(error))
-    except KeyboardInterrupt:
-        complain(_COMMAND, "interrupted; unfinished output was removed")
-        return 130
-    return 1
+        with closing(_Reports()) as reports:
+            return write_output(_COMMAND, _evaluated(arguments, options, reports, prepare))
+
+    return exit_code(_COMMAND, run)
 
 
 def _evaluated(
-    arguments: argparse.Namespace, options: DataOptions, terminal: Terminal, prepare: Prepare
+    arguments: argparse.Namespace, options: DataOptions, reports: _Reports, prepare: Prepare
 ) -> str:
     """What is printed; the files are written."""
     wanted = [_settings(arguments, [])]
@@ -72,21 +62,20 @@ def _evaluated(
     for module in ("pycocotools.cocoeval", *(["matplotlib.figure"] if arguments.output else [])):
         if problem := absence_of(module):
             raise DetectingError(problem)
-    reports = _Reports(terminal)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
         data = stack.enter_context(labelled_data(arguments.data, options, reports.problems))
         classes, evaluations = evaluate_models(
-            data, wanted, listener=reports, problems=reports.problems, prepare=prepare
+            data, wanted, observer=reports, problems=reports.problems, prepare=prepare
         )
-        terminal.begin("computing the figures")
+        reports.begin("computing the figures")
         result = EvaluationResult(
             arguments.data, data.kind, classes, evaluations, reports.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
         if folder is not None:
             result.write(folder)
-        terminal.close()
+        reports.close()
     return text
 
 
@@ -107,12 +96,12 @@ def _settings(arguments: argparse.Namespace, further: Sequence[str]) -> Settings
     return wanted_settings(arguments.params_file, assignments, arguments.node, arguments.camera)
 
 
-class _Reports:
-    """Shows progress on the terminal, and the first problems; counts all."""
+class _Reports(Terminal):
+    """Images that cannot be used are among the `problems`, of which the first are told."""
 
-    def __init__(self, terminal: Terminal) -> None:
-        self.problems = Problems(self._tell, progress=terminal.begin)
-        self._terminal = terminal
+    def __init__(self) -> None:
+        super().__init__(_COMMAND, shows_progress=True)
+        self.problems = Problems(self.tell, progress=self.begin)
         self._rejected: set[str] = set()
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
@@ -121,13 +110,6 @@ class _Reports:
         elif label not in self._rejected:  # once, although each model meets it
             self._rejected.add(label)
             self.problems.add("unusable images", label, error)
-
-    def progress(self, statistics: RunStatistics) -> None:
-        self._terminal.progress(statistics)
-
-    def _tell(self, problem: str) -> None:
-        self._terminal.close()
-        complain(_COMMAND, problem)
 
 
 def _usage_problem(arguments: argparse.Namespace, options: DataOptions) -> str:

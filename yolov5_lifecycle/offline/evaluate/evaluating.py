@@ -17,7 +17,7 @@ from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems, check_count
 from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.detecting import OfflineDetector, ProgressListener, StoredImage, prepared_for
+from yolov5_lifecycle.offline.detecting import OfflineDetector, RunObserver, StoredImage, prepared_for
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
@@ -84,14 +84,13 @@ class Evaluation:
 class _Model:
     """A loaded model and its number among those that are compared."""
 
-    def __init__(self, number: int, settings: Settings, listener: ProgressListener, prepare: Prepare) -> None:
+    def __init__(self, number: int, settings: Settings, observer: RunObserver, prepare: Prepare) -> None:
         self.number = number
+        self.prepared = prepared_for(settings, prepare)
         evaluated = settings.model_copy(update=_WHILE_EVALUATING)
-        self.prepared = prepared_for(evaluated, prepare)
-        self.offline = OfflineDetector(
-            evaluated, listener, with_masks=False, prepare=lambda *_: self.prepared
-        )
+        self.offline = OfflineDetector(evaluated, self.prepared, observer, with_masks=False)
         self.settings = settings.model_copy(update={"image_size": self.prepared.settings.image_size})
+        self._selection = selection(self.settings, self.offline.class_names)
 
     @property
     def wanted(self) -> frozenset[int] | None:
@@ -100,18 +99,16 @@ class _Model:
 
     def thresholds(self, classes: EvaluatedClasses) -> NDArray[np.float64]:
         """The confidence threshold of each of `classes`."""
-        chosen = selection(self.settings, self.offline.class_names)
-        thresholds = np.full(len(classes.names), chosen.confidence_threshold)
-        for class_id, threshold in chosen.class_thresholds:
+        thresholds = np.full(len(classes.names), self._selection.confidence_threshold)
+        for class_id, threshold in self._selection.class_thresholds:
             if (index := classes.of_models[self.number][class_id]) >= 0:
                 thresholds[index] = threshold
         return thresholds
 
     def time_ms(self, image: ColourImage) -> float:
         """How long it takes to detect in `image` with the thresholds that are set; raises InferenceError."""
-        chosen = selection(self.settings, self.offline.class_names)
         begun_s = time.perf_counter()
-        self.prepared.detector.detect(image, chosen)
+        self.prepared.detector.detect(image, self._selection)
         return (time.perf_counter() - begun_s) * 1e3
 
 
@@ -119,16 +116,16 @@ def evaluate_models(
     data: LabelledData,
     wanted: Sequence[Settings],
     *,
-    listener: ProgressListener,
+    observer: RunObserver,
     problems: Problems,
     prepare: Prepare,
 ) -> tuple[EvaluatedClasses, list[Evaluation]]:
     """Load a model for each of the `wanted` settings and let it detect in all images of `data`.
 
     An image that one model cannot use is left out for all. Raises DataError and DetectingError if nothing is
-    left, and what `OfflineDetector` raises.
+    left, and what `prepared_for` raises.
     """
-    models = [_Model(number, settings, listener, prepare) for number, settings in enumerate(wanted)]
+    models = [_Model(number, settings, observer, prepare) for number, settings in enumerate(wanted)]
     classes = EvaluatedClasses.shared(
         data.class_names, [(model.offline.class_names, model.wanted) for model in models]
     )

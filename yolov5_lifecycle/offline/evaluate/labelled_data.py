@@ -33,7 +33,8 @@ from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.offline.terminal import missing_images
 
 if TYPE_CHECKING:
-    from yolov5_lifecycle.offline.recording import RecordedTopic, Recording, Stamp
+    from yolov5_lifecycle.offline.recording import Recording, Stamp
+    from yolov5_lifecycle.offline.stored_messages import StoredTopic
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABEL_INFO = "vision_msgs/msg/LabelInfo"
@@ -117,7 +118,7 @@ def _labelled_recording(recording: Recording, options: DataOptions, problems: Pr
     return LabelledData("recording", tuple(class_ids), min(topic.count, len(labels)), images)
 
 
-def _label_info(recording: Recording, truth: RecordedTopic, problems: Problems) -> tuple[str, ...]:
+def _label_info(recording: Recording, truth: StoredTopic, problems: Problems) -> tuple[str, ...]:
     """The class names of the LabelInfo in the namespace of `truth`, or of the only one; else none."""
     topics = recording.topics(_LABEL_INFO)
     near = [topic for topic in topics if truth.name.startswith(f"{topic.name.rpartition('/')[0]}/")]
@@ -137,16 +138,16 @@ def _label_info(recording: Recording, truth: RecordedTopic, problems: Problems) 
 
 
 def _labels(
-    recording: Recording, topic: RecordedTopic, class_ids: dict[str, int], may_add: bool, problems: Problems
+    recording: Recording, topic: StoredTopic, class_ids: dict[str, int], may_add: bool, problems: Problems
 ) -> dict[Stamp, Labels]:
     """The labels by stamp. If `may_add`, class names that are new are added to `class_ids`."""
     labels: dict[Stamp, Labels] = {}
     seen: Counter[Stamp] = Counter()
     objects = 0
-    for number, recorded in enumerate(recording.messages(topic)):
-        check_count(recording.path, f"messages on {topic.name[:200]}", number + 1, MAX_IMAGES)
-        if number % PROGRESS_PERIOD == 0:
-            problems.progress(f"labels: {number} messages")
+    for recorded in recording.messages(topic):
+        check_count(recording.path, f"messages on {topic.name[:200]}", recorded.number + 1, MAX_IMAGES)
+        if recorded.number % PROGRESS_PERIOD == 0:
+            problems.progress(f"labels: {recorded.number} messages")
         try:
             stamp = recorded.stamp
             seen[stamp] += 1
@@ -187,12 +188,12 @@ def _boxes(detections: Any, class_ids: dict[str, int], *, may_add: bool) -> Boxe
 
 
 def _images(
-    recording: Recording, topic: RecordedTopic, labels: dict[Stamp, Labels], problems: Problems
+    recording: Recording, topic: StoredTopic, labels: dict[Stamp, Labels], problems: Problems
 ) -> Iterator[LabelledImage]:
     """The images that have labels, numbered."""
     received = 0
     seen: set[Stamp] = set()
-    for recorded in recording.images(topic):
+    for recorded in recording.messages(topic):
         received += 1
         try:
             stamp = recorded.stamp

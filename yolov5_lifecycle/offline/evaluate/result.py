@@ -12,9 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.bootstrap import RESAMPLES, SEED, differences, interval
 from yolov5_lifecycle.evaluation.curves import draw_confusion_matrix, draw_f1_curve, draw_pr_curve
-from yolov5_lifecycle.evaluation.figures import MIN_IOU, confusion_matrix, occurring, rows
+from yolov5_lifecycle.evaluation.figures import (
+    MIN_IOU,
+    RESAMPLES,
+    SEED,
+    confusion_matrix,
+    differences,
+    interval,
+    occurring,
+    rows,
+)
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.matching import (
     MAX_DETECTIONS,

@@ -126,8 +126,5 @@ class RecordingTask:
     def _detector(self) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
         return OfflineDetector(
-            self._plan.settings,
-            self,
-            with_masks=self._plan.export.needs_masks,
-            prepare=lambda *_: self._prepared,
+            self._plan.settings, self._prepared, self, with_masks=self._plan.export.needs_masks
         )

@@ -48,37 +48,23 @@ class CameraNode(PrintableNode):
         check_qos_overrides(self)
         wrap_services(self, {})
         if not self._settings.loop:
-            self.get_logger().info(f"waiting for a subscriber to {self._topics}")
+            self.get_logger().info(f"waiting for a subscriber to {self._outputs.topics}")
         self._stop = threading.Event()
         self._source_rate_hz: float | None = None
         self._size_hw: tuple[int, int] | None = None
-        self._playback = Playback(
+        self.playback = Playback(
             self._open,
             self._show,
             rate_hz=self._settings.rate,
             is_awaited=lambda: self._settings.loop or self._outputs.is_heard,
         )
 
-    @property
-    def is_finished(self) -> bool:
-        """Whether the source has ended or failed."""
-        return self._playback.is_finished
-
-    @property
-    def failure(self) -> str:
-        """Why the source failed, "" if it has not."""
-        return self._playback.failure
-
     def close(self) -> None:
         """Stop, wait for delivery and destroy the node; the thread of a hung source is abandoned."""
         self._stop.set()
-        if self._playback.stop(_END_S):
+        if self.playback.stop(_END_S):
             self._outputs.wait_until_delivered(_DELIVERY_S)
         self.destroy_node()
-
-    @property
-    def _topics(self) -> str:
-        return " and ".join(self._outputs.image_topics)
 
     def _open(self) -> ImageSource:
         source = open_source(
@@ -106,7 +92,8 @@ class CameraNode(PrintableNode):
         rate = f"at {rate_hz:g} images per second" if rate_hz else "at the rate of the source"
         kind = self._settings.encoding if self._size_hw is None else "size changed"
         self._size_hw = size_hw
-        self.get_logger().info(f"publishing {size_hw[1]} x {size_hw[0]} ({kind}) {rate} on {self._topics}")
+        shown = f"{size_hw[1]} x {size_hw[0]} ({kind})"
+        self.get_logger().info(f"publishing {shown} {rate} on {self._outputs.topics}")
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:
@@ -137,8 +124,8 @@ def _run(arguments: list[str]) -> int:
         node.get_logger().warning(shortage)
     executor = ResilientExecutor()
     executor.add_node(node)
-    spin(executor, node, until=lambda: stop.is_set() or node.is_finished)
-    failure = node.failure  # read before `close`: only failures up to here count
+    spin(executor, node, until=lambda: stop.is_set() or node.playback.is_finished)
+    failure = node.playback.failure  # read before `close`: only failures up to here count
     node.close()
     rclpy.try_shutdown()
     if failure:

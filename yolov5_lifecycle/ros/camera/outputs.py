@@ -93,9 +93,9 @@ class CameraOutputs:
             ]
 
     @property
-    def image_topics(self) -> list[str]:
-        """Full names of the image topics."""
-        return [publisher.topic_name for publisher, _ in self._images]
+    def topics(self) -> str:
+        """Full names of the image topics, in words."""
+        return " and ".join(publisher.topic_name for publisher, _ in self._images)
 
     @property
     def is_heard(self) -> bool:

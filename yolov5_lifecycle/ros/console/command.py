@@ -72,9 +72,7 @@ async def _serve(
     """Serve until a signal; afterwards the node may be destroyed."""
     ros = RosThread(node, asyncio.get_running_loop())
     pages = Pages(lambda name: detectors.find(name), lambda: detectors.known, view_only=options.view_only)
-    detectors = Detectors(
-        ros, options.nodes, on_change=pages.changed, on_gone=pages.gone, on_omitted=pages.omitted
-    )
+    detectors = Detectors(ros, options.nodes, on_change=pages.changed, on_gone=pages.gone)
     viewers = Viewers(ros, detectors.find)
     metrics = figures(lambda: detectors.known, lambda: viewers.count) if options.has_metrics else None
     application = WebApplication(pages.serve, viewers.serve, sessions, metrics, node.get_logger())

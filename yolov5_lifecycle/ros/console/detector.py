@@ -59,7 +59,6 @@ _PACE_S = 0.1
 _RETRY_S = 0.5
 _REASON_S = 1.5
 """How long to watch the log for the reason of a refusal, which is not in the response."""
-_SLOW_CHANGES = ("reload",)
 _MAX_TRANSITIONS, _MAX_LABEL, _MAX_WORDS = 30, 100, 5_000
 _NO_REASON = "the node gave no reason"
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -187,7 +186,7 @@ class Detector:
             messages = [parameter_message(name, value, self._views) for name, value in values.items()]
         except ValueError as error:
             return str(error)
-        is_slow = any(name in self._views and self._views[name].change in _SLOW_CHANGES for name in values)
+        is_slow = any(name in self._views and self._views[name].change == "reload" for name in values)
         what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
         request = SetParametersAtomically.Request(parameters=messages)
         try:

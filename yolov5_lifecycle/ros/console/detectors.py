@@ -39,7 +39,7 @@ class Detectors:
     """Finds detectors and keeps them up to date; `names`: full names of the wanted ones, empty: all.
 
     `on_change(detector)` is called after each change of a known one, `on_gone(detector)` when one has left
-    the graph or is silent, `on_omitted(names)` when others are left out because there are too many.
+    the graph or is silent.
     """
 
     def __init__(
@@ -49,18 +49,16 @@ class Detectors:
         *,
         on_change: Callable[[Detector], object],
         on_gone: Callable[[Detector], object],
-        on_omitted: Callable[[list[str]], object],
     ) -> None:
         self._ros = ros
         self._names = names
         self._on_change = on_change
         self._on_gone = on_gone
-        self._on_omitted = on_omitted
         self._candidates: dict[str, frozenset[bytes]] = {}
         self._followed: dict[str, Detector] = {}
         self._shown: dict[str, frozenset[bytes]] = {}
         """Publishers of those that are shown, empty until the next scan: a new one means a restart."""
-        self._omitted: list[str] = []
+        self._left_out = 0
         self._by_logger: dict[str, Detector] = {}
         self._logs: OrderedDict[str, LogView] = OrderedDict()
         """Of loggers that are of no detector that is followed."""
@@ -109,9 +107,13 @@ class Detectors:
         room = MAX_DETECTORS - len(self._followed)
         for name in waiting[:room]:
             await self._begin(name)
-        if waiting[room:] != self._omitted:
-            self._omitted = waiting[room:]
-            self._on_omitted(self._omitted)
+        left_out = len(waiting[room:])
+        if left_out > self._left_out:
+            self._ros.node.get_logger().warning(
+                f"{left_out} further nodes are left out, {waiting[room]} first, as the console shows at most "
+                f"{MAX_DETECTORS}: to see one, start a console with --node and its name"
+            )
+            self._left_out = left_out
 
     async def _begin(self, name: str) -> None:
         log = self._logs.pop(logger_name(name), None)

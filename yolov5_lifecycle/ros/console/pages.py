@@ -21,10 +21,7 @@ _MESSAGES = 60
 _MAX_PENDING = 8
 _MAX_UNREAD = 100
 _MAX_VALUES = 400
-_MAX_NAMES = 8
 _UPDATE_S = 0.25
-_OMITTED = ""
-"""Key of the message about detectors that are left out; no detector has this name."""
 
 Find = Callable[[object], Detector | None]
 
@@ -42,7 +39,6 @@ class Pages:
         self._open: set[_Page] = set()
         self._changed: set[str] = set()
         self._timer: asyncio.TimerHandle | None = None
-        self._omitted: list[str] = []
 
     def changed(self, detector: Detector) -> None:
         """Send the detector to all pages soon."""
@@ -55,11 +51,6 @@ class Pages:
         last = detector.as_json(is_lost=True)
         self._show(detector.name, {"type": "gone", "name": detector.name, "node": last})
 
-    def omitted(self, names: list[str]) -> None:
-        """Notify all pages of the detectors that are not shown because there are too many."""
-        self._omitted = names
-        self._show(_OMITTED, _omission(names))
-
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one page until it is closed."""
         await websocket.accept()
@@ -69,10 +60,7 @@ class Pages:
         page = _Page(websocket, self._find, view_only=self._view_only)
         self._open.add(page)
         try:
-            texts = {detector.name: json.dumps(_node(detector)) for detector in self._known()}
-            if self._omitted:
-                texts[_OMITTED] = json.dumps(_omission(self._omitted))
-            await page.serve(texts)
+            await page.serve({detector.name: json.dumps(_node(detector)) for detector in self._known()})
         finally:
             self._open.discard(page)
 
@@ -108,8 +96,7 @@ class _Page:
         self._news.set()
 
     async def serve(self, nodes: dict[str, str]) -> None:
-        names = [name for name in nodes if name != _OMITTED]
-        welcome = {"type": "welcome", "view_only": self._view_only, "nodes": names}
+        welcome = {"type": "welcome", "view_only": self._view_only, "nodes": list(nodes)}
         self._answers.append(json.dumps(welcome))
         self._nodes.update(nodes)
         self._news.set()
@@ -179,11 +166,6 @@ class _Page:
 
 def _node(detector: Detector) -> dict[str, object]:
     return {"type": "node", "node": detector.as_json()}
-
-
-def _omission(names: list[str]) -> dict[str, object]:
-    """The number of `names`, and the first of them."""
-    return {"type": "omitted", "count": len(names), "names": names[:_MAX_NAMES]}
 
 
 def _request(text: str | None) -> tuple[dict[str, Any], str]:

@@ -16,8 +16,12 @@ from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus, depth_topics
 from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.messages import stamp_ns
-from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
-from yolov5_lifecycle.spatial.intrinsics import Intrinsics, intrinsics_of_message
+from yolov5_lifecycle.spatial.depth_image import (
+    DepthImage,
+    Intrinsics,
+    depth_image_of_message,
+    intrinsics_of_message,
+)
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
 from yolov5_lifecycle.collecting.candidate import Origin
+from yolov5_lifecycle.collecting.collector import CameraCollecting
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
@@ -21,7 +21,7 @@ from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
 from yolov5_lifecycle.ros.detector.outputs import Outputs
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.inference_threads import Send
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import TrackedDetection
 
 
 @dataclass(frozen=True)

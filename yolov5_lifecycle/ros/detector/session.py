@@ -14,9 +14,8 @@ from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Header
 from vision_msgs.msg import LabelInfo, VisionClass
 
-from yolov5_lifecycle.collecting.camera_collecting import CameraCollecting
-from yolov5_lifecycle.collecting.collector import Collector
-from yolov5_lifecycle.collecting.triggers import CollectRules
+from yolov5_lifecycle.collecting.candidate import CollectRules
+from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
@@ -31,8 +30,7 @@ from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, FrameCounter, LatencyWindow, Outcome
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads
-from yolov5_lifecycle.tracking.byte_tracker import StampCounts
-from yolov5_lifecycle.tracking.tracked_detection import TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import StampCounts, TrackedDetection
 
 REST_TIMEOUT_S = 3.0
 """Max wait for the frame in progress; launch escalates its stop signal after 5 s."""

@@ -8,8 +8,6 @@ const SILENT_AFTER_S = 3;
 const STAMP_BYTES = 8;
 const FIRST_PAUSE_MS = 500;
 const MAX_PAUSE_MS = 5000;
-/** How long a success is reported. */
-const RESULT_MS = 10_000;
 
 export class CameraViews {
   #cameras;
@@ -79,7 +77,7 @@ class CameraView {
     setText(this.#figures, figuresOf(camera));
     setText(this.#message, camera.message);
     this.#message.dataset.condition = conditionOf(camera, camera.state).name;
-    this.#message.hidden = camera.message === "" || camera.message === "detecting";
+    this.#message.hidden = camera.message === "";
   }
 
   receive(mayReceive) {
@@ -242,7 +240,6 @@ async function decoded(jpeg) {
 class CollectButton {
   #request;
   #isPending = false;
-  #timer = 0;
   #button = element("button", { type: "button", onclick: () => this.#collect() });
   #result = element("span", { class: "result", role: "status" });
   #refusal = element("p", { class: "refusal", role: "alert" });
@@ -252,9 +249,8 @@ class CollectButton {
     this.element = element("div", { class: "collect", hidden: true }, this.#button, this.#result, this.#refusal);
   }
 
-  /** Detectors of earlier versions have neither the parameter nor the service. */
-  update({ state, cameras, parameters }) {
-    this.element.hidden = state === LOST || !parameters.some(({ name }) => name === "collect_dir");
+  update({ state, cameras }) {
+    this.element.hidden = state === LOST;
     setText(this.#button, cameras.length > 1 ? "Keep these images" : "Keep this image");
   }
 
@@ -264,9 +260,9 @@ class CollectButton {
     }
     this.#setPending(true);
     this.#show("", "");
-    const { ok, reason, result } = await this.#request({ type: "collect" });
+    const { reason, result = "" } = await this.#request({ type: "collect" });
     this.#setPending(false);
-    this.#show(ok ? result || "done" : "", ok ? "" : reason);
+    this.#show(result, reason);
   }
 
   #setPending(isPending) {
@@ -275,11 +271,7 @@ class CollectButton {
   }
 
   #show(result, refusal) {
-    clearTimeout(this.#timer);
     setText(this.#result, result);
     setText(this.#refusal, refusal);
-    if (result !== "") {
-      this.#timer = setTimeout(() => setText(this.#result, ""), RESULT_MS);
-    }
   }
 }

@@ -37,8 +37,6 @@ class Page {
       const view = this.#viewOf(message.node);
       view.update(message.node);
       view.setGone();
-    } else if (message.type === "omitted") {
-      this.#showOmitted(message);
     }
     this.#show();
   }
@@ -49,17 +47,6 @@ class Page {
     this.#announced = nodes;
     byId("view-only").hidden = !isViewOnly;
     this.#views.forEach((view) => nodes.includes(view.name) || view.setGone());
-    this.#showOmitted({ count: 0, names: [] });
-  }
-
-  /** The console has room for so many detectors; `names` are the first of those left out. */
-  #showOmitted({ count, names }) {
-    byId("omitted").hidden = count === 0;
-    const others = count > names.length ? ` and ${count - names.length} more` : "";
-    const text =
-      `${count} further ${count === 1 ? "node is" : "nodes are"} left out, as the console shows no more at once: ` +
-      `${names.join(", ")}${others}. To see one, start a console with --node and its name.`;
-    setText(byId("omitted"), count === 0 ? "" : text);
   }
 
   #viewOf(node) {

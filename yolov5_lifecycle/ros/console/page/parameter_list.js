@@ -176,8 +176,8 @@ class CameraOverride {
   async #add() {
     const name = this.#name.value;
     const change = { name: `${this.#camera.value}.${name}`, before: null, after: this.#valueOf(name) };
-    const { ok, reason } = await this.#set(change);
-    setText(this.#refusal, ok ? "" : reason || "refused without a reason");
+    const { reason } = await this.#set(change);
+    setText(this.#refusal, reason);
   }
 
   #valueOf(wanted) {
@@ -223,26 +223,11 @@ class YamlCopy {
     }
   }
 
-  async #copy() {
-    const copied = (await copiedByClipboard(this.#text.value)) || this.#copiedBySelection();
+  #copy() {
+    this.#text.select();
+    const copied = document.execCommand("copy"); // navigator.clipboard is there on loopback and with TLS only
+    this.button.focus();
     const what = "Every value that differs from its default, for --params-file.";
     setText(this.#said, copied ? `${what} Copied.` : `${what} This browser cannot copy it: select and copy the text.`);
-  }
-
-  /** Browsers offer the clipboard on loopback and with TLS only; this older way works everywhere. */
-  #copiedBySelection() {
-    this.#text.select();
-    const copied = document.execCommand("copy");
-    this.button.focus();
-    return copied;
-  }
-}
-
-async function copiedByClipboard(text) {
-  try {
-    await navigator.clipboard.writeText(text);
-    return true;
-  } catch {
-    return false;
   }
 }

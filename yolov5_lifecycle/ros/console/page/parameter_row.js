@@ -9,7 +9,6 @@ const BETWEEN_MS = 120;
 const WAITING = {
   reload: "loading the new model; the old one keeps detecting",
   resubscribe: "recreating the subscription",
-  cameras: "starting and stopping cameras",
 };
 
 export class ParameterRow {
@@ -118,7 +117,7 @@ export class ParameterRow {
     this.#accepted = { value, untilMs: Infinity };
     this.#show();
     const [{ ok, reason }] = await Promise.all([this.#context.set(change), pause(BETWEEN_MS)]);
-    setText(this.#refusal, ok ? "" : reason || "refused without a reason");
+    setText(this.#refusal, reason);
     this.#accepted = ok ? { value, untilMs: performance.now() + SETTLED_MS } : null;
     if (!ok) {
       this.#widget.forget?.();

@@ -83,10 +83,10 @@ export class StateView {
     this.#pending = label;
     setText(this.#refusal, "");
     this.#show("");
-    const { ok, reason } = await this.#request({ type: "transition", label });
+    const { reason } = await this.#request({ type: "transition", label });
     this.#pending = "";
     this.#show("");
-    setText(this.#refusal, ok ? "" : reason || `${label} was refused without a reason`);
+    setText(this.#refusal, reason);
   }
 }
 

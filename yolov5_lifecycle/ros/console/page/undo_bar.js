@@ -65,7 +65,7 @@ export class UndoBar {
       this.#changes = this.#changes.filter((kept) => kept !== change);
       this.#restored(name, before);
     }
-    setText(this.#refusal, ok ? "" : reason || "refused without a reason");
+    setText(this.#refusal, reason);
     this.#show(ok ? `${name} is ${inShort(before)} again.` : "");
   }
 

@@ -1,26 +1,30 @@
-"""Hostile requests to every service of the node."""
+"""Messages that nobody means: requests to every service of the node, odd, damaged and faulty images."""
 
 from __future__ import annotations
 
 import importlib
 import random
 import re
-from collections.abc import Callable, Iterable
+from array import array
+from collections.abc import Callable
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.msg import ParameterValue
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Image
 from support.detector_process import NODE
 
-from soak.finding import Finding, number_of
+from soak.faulty_detector import GREYS
 from soak.subject import Subject
+from yolov5_lifecycle.images.encodings import ENCODINGS
+from yolov5_lifecycle.images.image import MAX_FRAME_ID, MAX_SIDE_PX
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 _SERVICES = 12
 """5 of every lifecycle node, 7 of every node."""
 _PATIENCE_S = 60.0
 _BURST = 5
-_REQUESTS_PER_LIFE = 200
 _HUGE_ODDS = 0.01
 _MEGABYTE = 1_000_000
 _TEXTS = (
@@ -31,6 +35,7 @@ _NAMES = (*(setting.name for setting in SETTINGS), "use_sim_time", "start_type_d
 _INTEGERS = (0, 1, -1, 2, 42, 320, 417, 2**31, 2**63 - 1, -(2**63))
 _DOUBLES = (0.0, -0.0, 0.5, 1.0, -1.0, 1e-320, 1e308, float("nan"), float("inf"), float("-inf"))
 _INTEGER_TYPE = re.compile(r"(u?)int(\d+)")
+_ODD_SIZES_HW = ((1, 1), (1, MAX_SIDE_PX), (MAX_SIDE_PX, 1), (2, 3), (3, 4001), (1999, 5))
 _SHUTDOWNS = {
     Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
     Transition.TRANSITION_INACTIVE_SHUTDOWN,
@@ -105,18 +110,12 @@ class HostileClient:
         ]
         for client in self._clients:
             self._observer.wait_for(client.service_is_ready, client.srv_name)
-        self.sent = 0
         self.unanswered: list[str] = []
 
-    @property
-    def services(self) -> int:
-        return len(self._clients)
-
-    def ask(self, fuzz: Fuzz, most: int = _BURST) -> None:
-        """Send a burst of at most `most` requests and take the responses."""
-        clients = fuzz.random.choices(self._clients, k=min(most, fuzz.random.randint(1, _BURST)))
+    def ask(self, fuzz: Fuzz) -> None:
+        """Send a burst of requests and take the responses."""
+        clients = fuzz.random.choices(self._clients, k=fuzz.random.randint(1, _BURST))
         asked = [(client, client.call_async(fuzz.fill(client.srv_type.Request()))) for client in clients]
-        self.sent += len(asked)
         self.unanswered += [client.srv_name for client, future in asked if not self._is_answered(future)]
 
     def _offers(self) -> list[tuple[str, list[str]]]:
@@ -131,31 +130,32 @@ class HostileClient:
             return False
         return True
 
-    def close(self) -> None:
-        for client in self._clients:
-            self._observer.destroy_client(client)
+
+def odd_image(fuzz: Fuzz) -> Image:
+    """A readable raw image with a shape and header that no camera sends."""
+    height, width = fuzz.random.choice(_ODD_SIZES_HW)
+    message = Image(height=height, width=width, step=3 * width, encoding="bgr8")
+    fuzz.fill(message.header)
+    message.header.frame_id = message.header.frame_id[:MAX_FRAME_ID]
+    message.data = array("B", fuzz.random.randbytes(3 * width) * height)
+    return message
 
 
-def answered_requests(subject: Subject, seeds: Iterable[int], per_seed: int) -> Finding:
-    """Send `per_seed` requests for every seed; the node is reset to its initial parameters in between."""
-    seeds = list(seeds)
-    client = HostileClient(subject)
-    for seed in seeds:
-        fuzz = Fuzz(seed)
-        end = client.sent + per_seed
-        while client.sent < end:
-            subject.reset()
-            subject.bring_to(fuzz.random.choice(["unconfigured", "inactive", "active"]))
-            life = min(end, client.sent + _REQUESTS_PER_LIFE)
-            while client.sent < life:
-                client.ask(fuzz, most=life - client.sent)
-    subject.reset()
-    client.close()
-    escaped = subject.escaped
-    return Finding(
-        claim="every hostile request is answered",
-        done=f"{client.sent} requests to {client.services} services, seeds {seeds}",
-        result=f"{number_of('unanswered', client.unanswered)}, {number_of('exceptions', escaped)}",
-        limit="0, 0",
-        is_met=not client.unanswered and not escaped,
-    )
+def damaged_message(fuzz: Fuzz) -> bytes:
+    """A small serialized raw image with wrong or missing bytes."""
+    random, side = fuzz.random, 8
+    encoding, layout = random.choice([*ENCODINGS.items()])
+    step = side * layout.pixel_bytes
+    message = Image(height=side, width=side, step=step, encoding=encoding)
+    message.data = array("B", bytes(int(side * layout.rows) * step))
+    data = bytearray(serialize_message(message))
+    for _ in range(random.randint(1, 20)):
+        data[random.randrange(len(data))] = random.randrange(256)
+    return bytes(data[: random.choice([len(data), random.randrange(len(data))])])
+
+
+def faulty_image(kind: str) -> Image:
+    """An image that makes inference of the subject fail."""
+    side = 320
+    data = array("B", bytes([GREYS[kind]]) * (3 * side**2))
+    return Image(height=side, width=side, encoding="rgb8", step=3 * side, data=data)
