@@ -11,23 +11,6 @@ FOLDERS = ("ros/detector", "ros/parameters", "streaming")
 """What the executor of the detector runs."""
 BLOCKING = {"wait": 1, "join": 1, "acquire": 1, "wait_for": 2}
 """Methods that wait for another thread, and how many arguments they have when the last one is the limit."""
-<<<<<<< HEAD
-NO_LIMIT = "a SimpleQueue takes any number of objects"
-DONE = "the future is done: an awaited callback has it"
-ALLOWED = {
-    "streaming.inference_threads._run": "the inference thread itself waits for work",
-    "streaming.inference_threads._begin_tasks": NO_LIMIT,
-    "streaming.inference_threads.close": NO_LIMIT,
-    "ros.child_process.__exit__": "of `demo` and its like, after SIGKILL",
-    "ros.observer.call": DONE,
-    "ros.detector.session.model": f"{DONE}, unless a program activates the node without its executor",
-    "ros.detector.session.apply": DONE,
-    "ros.detector.managed_resources.prepared": DONE,
-    "ros.detector.reconfiguration._reload_now": DONE,
-    "ros.detector.reconfiguration._commit": DONE,
-}
-=======
->>>>>>> fix
 
 
 def has_limit(call: ast.Call, method: str) -> bool:
