@@ -18,7 +18,7 @@ from support.served_node import STATES, ServedNode, class_ids_of, messages_of
 from yolov5_lifecycle.detection.draw import draw_regions
 from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.ros.messages import image_of_message
-from yolov5_lifecycle.ros.parameters.settings_parameters import MAX_REASON_LENGTH
+from yolov5_lifecycle.ros.services import MAX_REASON
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 # At the start
@@ -66,7 +66,7 @@ def test_what_is_malformed_or_unknown_is_refused_in_every_state(served: ServedNo
     for description, value in MALFORMED.items():
         (result,) = served.set_one_by_one([ParameterMessage(name="confidence_threshold", value=value)])
         assert not result.successful, description
-        assert 0 < len(result.reason) < MAX_REASON_LENGTH, description
+        assert 0 < len(result.reason) < MAX_REASON, description
         assert served.get("confidence_threshold") == 0.25
     done, reason = served.set(confidence_treshold=0.5)
     assert not done
