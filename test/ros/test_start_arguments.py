@@ -110,7 +110,7 @@ def test_bad_files_are_left_out_and_the_others_kept(tmp_path: Path) -> None:
 
 
 def test_a_file_that_only_ros_refuses_is_an_error_in_its_words(ros_domain: int, path: Path) -> None:
-    path.write_text("/**: {ros__parameters: {a: 12:30}}")  # rcl's own libyaml is older than PyYAML's
+    path.write_text("%YAML 1.2\n---\n/**: {ros__parameters: {a: 1}}")  # rcl's libyaml is older than PyYAML's
     given = start_arguments(["detector", "--ros-args", "--params-file", str(path)])
     with pytest.raises(RuntimeError, match=rf"{path}'. Error: Error parsing a event near line 1$"):
         initialize(given.words)

@@ -72,6 +72,12 @@ def test_a_file_speaks_to_the_nodes_it_names(
             r"expected a value of 'b\.c', found {}: an empty list is \[\]",
             id="mapping for a value",
         ),
+        pytest.param(
+            "a: {ros__parameters: {classes: [dog, cat:0.5]}}",
+            r"line 1: 'cat:0.5' has a colon within \[\] or \{\}: write it in quotes",
+            id="colon in a list",
+        ),
+        pytest.param("a: {ros__parameters: {a: 12:30}}", "'12:30' has a colon", id="colon in braces"),
         pytest.param("a: {ros__parameters: 5}", "line 1: expected names and values", id="value"),
         pytest.param("ros__parameters: {a: 1}", "above ros__parameters is no name", id="no name"),
     ],

@@ -161,7 +161,6 @@ def test_while_paused_no_frame_begins(line: Line) -> None:
     with line.inference.paused(), line.inference.paused():
         line.offer(1)
         assert line.inference.rest(0.0)
-        assert line.inference.rest(0.0)
         line.offer(2)
         assert line.balance().pending == 1
     line.wait()

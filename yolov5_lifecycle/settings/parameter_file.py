@@ -184,6 +184,7 @@ def _add(values: dict[str, Value], mapping: yaml.Node, above: str = "") -> None:
             continue
         if isinstance(node, yaml.MappingNode):  # rcl takes the names that follow for names below this one
             raise _error(f"expected a value of '{name}', found {{}}: an empty list is []", key)
+        _check_colon(mapping, node)
         value = _value(node)
         # If one name has values of two types, rcl uses the first of: boolean, integer, double, string.
         if name in values and kind(values[name]) != kind(value):
@@ -203,6 +204,7 @@ def _value(node: yaml.Node) -> Value:
         return _scalar(node)
     values = []
     for entry in node.value:
+        _check_colon(node, entry)
         if not isinstance(entry, yaml.ScalarNode):
             quotes = ', write "NAME: VALUE" in quotes' if isinstance(entry, yaml.MappingNode) else ""
             raise _error(f"a list may hold values alone, no lists or mappings{quotes}", entry)
@@ -214,6 +216,12 @@ def _value(node: yaml.Node) -> Value:
                 entry,
             )
     return values  # type: ignore[return-value] # all of one type
+
+
+def _check_colon(parent: yaml.CollectionNode, node: yaml.Node) -> None:
+    """Refuse what rcl's older libyaml does not read: text without quotes that has a colon, in [] or {}."""
+    if parent.flow_style and isinstance(node, yaml.ScalarNode) and not node.style and ":" in node.value:
+        raise _error(f"'{node.value}' has a colon within [] or {{}}: write it in quotes", node)
 
 
 def _scalar(node: yaml.Node) -> bool | int | float | str:

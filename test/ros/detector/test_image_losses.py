@@ -98,6 +98,12 @@ def losses_after(*steps: Step) -> ImageLosses:
             id="the same publisher is counted on over a new subscription, another is not",
         ),
         pytest.param(
+            [("match", None, 2, True), ("match", FRONT, 1, True), ("take", 10, 14)],
+            0,
+            3,
+            id="a new subscription after two publishers",
+        ),
+        pytest.param(
             [("take", 1, 3), ("stop",), ("match", FRONT, 1, True), ("take", 50, 52)],
             0,
             2,

@@ -28,7 +28,7 @@ _TOGETHER = (
     "set_parameters_atomically, or in another order."
 )
 _OLD_CLASSES = (
-    " {names} still names classes of the running model: set it together with the new weights through "
+    "{names} still names classes of the running model: set it together with the new weights through "
     "set_parameters_atomically, or set it to [] before. The running model stays."
 )
 _LEFT = "the node left the active state while the new model was loading; nothing was changed."
@@ -154,7 +154,7 @@ class Reconfiguration:
             result = refused(*problems)
             if preparation is not running:
                 names = ", ".join(f"`{problem.setting}`" for problem in problems)
-                result.reason += _OLD_CLASSES.format(names=names)
+                result.reason = f"{_OLD_CLASSES.format(names=names)} {result.reason}"
             return result
         is_done = False
         try:
