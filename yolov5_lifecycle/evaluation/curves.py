@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.evaluation.figures import Counts, mean_of_classes, sweep
+from yolov5_lifecycle.evaluation.figures import RECALLS, Counts, mean_of_classes, sweep
 from yolov5_lifecycle.evaluation.matching import Matches
 from yolov5_lifecycle.printable import in_one_line
 
@@ -26,7 +26,6 @@ _SIZE_INCHES = (7.0, 4.6)
 _DPI = 110
 _MAX_NAME = 30
 _CONFIDENCES = np.linspace(0, 1, 1001)
-_RECALLS = np.linspace(0, 1, 101)
 
 
 def draw_pr_curve(path: Path, matches: Matches) -> None:
@@ -34,8 +33,8 @@ def draw_pr_curve(path: Path, matches: Matches) -> None:
     precision = np.where(matches.precision[0] < 0, np.nan, matches.precision[0])  # (101, classes)
     label = f"all, mAP {float(mean_of_classes(matches.ap50)):.3f}"
     with _axes(path, "Precision over recall, IoU 0.5", "recall", "precision") as axes:
-        _draw_classes(axes, _RECALLS, precision.T, matches.ap50, matches.class_names)
-        axes.plot(_RECALLS, mean_of_classes(precision), color="black", linewidth=2.5, label=label)
+        _draw_classes(axes, RECALLS, precision.T, matches.ap50, matches.class_names)
+        axes.plot(RECALLS, mean_of_classes(precision), color="black", linewidth=2.5, label=label)
         _finish(axes)
 
 

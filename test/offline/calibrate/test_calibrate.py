@@ -147,6 +147,11 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
         pytest.param(["nowhere.pt", "images"], "nowhere.pt", id="no weights"),
         pytest.param(["best.safetensors", "empty"], "empty", id="no images"),
         pytest.param(
+            ["best.safetensors", "images", "--topic", "/x"],
+            "--topic does not apply to ",
+            id="topic of a folder",
+        ),
+        pytest.param(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"
         ),
         pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "create it first", id="no folder"),
