@@ -112,7 +112,10 @@ def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
     ("words", "reason"),
     [
         pytest.param(["--output", "shapes"], "exists and is not replaced", id="output exists"),
-        pytest.param(["--set", "classes=[circel]"], "Did you mean 'circle'?", id="class"),
+        pytest.param(["--set", "classes=[circel]"], "classes: 'circel' is not", id="class"),
+        pytest.param(
+            ["--set", "class_thresholds=['circel: 0.5']"], "class_thresholds: 'circel' is not", id="threshold"
+        ),
         pytest.param(["--compare", "imagesize=320"], "Did you mean 'image_size'?", id="compared name"),
         pytest.param(["--compare", "missing.pt"], "missing.pt", id="compared weights"),
         pytest.param(
