@@ -189,6 +189,7 @@ def test_cameras_are_set_and_their_overrides_come_and_go(console: ConsoleBesideN
     assert page.set(**{"front.max_rate": None}) == ""
     page.wait_for(lambda: "front.max_rate" not in names("parameters"), "no override")
     assert page.set(cameras=[]) == ""
+    page.wait_for(lambda: names("cameras") == [""], "one camera without a name, as the next test expects")
 
 
 @pytest.mark.long
