@@ -14,10 +14,10 @@ from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.ros.topics import (
     COLOUR_IMAGES,
     full_name,
-    impossible_names,
     of_camera,
     published,
     subscribed,
+    topic_problems,
 )
 from yolov5_lifecycle.settings.schema import Problem
 from yolov5_lifecycle.settings.settings import Settings
@@ -61,7 +61,7 @@ def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = Fa
 def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
     """A QoS override and `image_reliability` must not both set a camera's reliability."""
     overrides = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX)]
-    if not overrides or impossible_names(node, settings.camera_names):  # which `configure` refuses
+    if not overrides or topic_problems(node, settings.camera_names):  # which `configure` refuses
         return []
     problems = []
     for camera in settings.camera_names:

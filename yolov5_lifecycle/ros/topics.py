@@ -50,29 +50,21 @@ def endpoint_name(node: Node, topic: str) -> str:
     return str(node.resolve_topic_name(topic.removesuffix(_COMPRESSED))) + _COMPRESSED
 
 
-def impossible_names(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per topic of `node` with these `cameras` whose full name is too long for ROS."""
-    topics = (*published(cameras), *subscribed(cameras))
-    return [problem for topic in topics if (problem := _naming_problem(node, topic))]
+def topic_problems(node: Node, cameras: Sequence[str]) -> list[str]:
+    """One problem per name to which several topics of `node` with these `cameras` are remapped.
 
-
-def _naming_problem(node: Node, topic: str) -> str:
+    Only the first topic if ROS refuses its full name as too long.
+    """
+    topic, by_name = "", dict[str, list[str]]()
     try:
-        full_name(node, topic)
+        for topic in (*published(cameras), *subscribed(cameras), *_OTHERS):
+            by_name.setdefault(full_name(node, topic), []).append(topic)
     except RuntimeError as error:
         reason = str(error).partition(", at /")[0]
-        return (
+        return [
             f"ROS refuses the full name of {topic}: {reason}: use a shorter name for the camera, or restart "
             "the node with a shorter namespace or other remappings"
-        )
-    return ""
-
-
-def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per name to which several topics of `node` are remapped; none may be impossible."""
-    by_name: dict[str, list[str]] = {}
-    for topic in (*published(cameras), *subscribed(cameras), *_OTHERS):
-        by_name.setdefault(full_name(node, topic), []).append(topic)
+        ]
     return [
         f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
         "different remappings"

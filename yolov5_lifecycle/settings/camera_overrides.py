@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH, camera_names_rule
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
-from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, nearest
+from yolov5_lifecycle.settings.suggestion import nearest
 
 CAMERAS = "cameras"
 """The setting that names the cameras."""
@@ -50,9 +50,7 @@ class OverridableSchema(Schema[Model]):
         overrides, of_cameras = self._of_cameras(own, given)
         settings, of_node = self._attempt(own, overrides)
         if any(problem.setting == CAMERAS for problem in of_node):
-            of_strays = self._while_cameras_are_wrong(strays)
-            wrong = (self.problem(name, dotted[name]) for name in strays if self._inherited(name))
-            of_strays += filter(None, wrong)
+            of_strays = self._while_cameras_are_wrong({name: dotted[name] for name in strays})
         else:
             of_strays = self.all_unknown(strays, values)
         inherited = {f"{camera}{SEPARATOR}{problem}" for camera in _cameras(values) for problem in of_node}
@@ -77,14 +75,12 @@ class OverridableSchema(Schema[Model]):
             return None
         return f"{near_camera}{SEPARATOR}{near}"
 
-    def unknown(
-        self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
-    ) -> Problem:
-        problem = super().unknown(name, values, may_suggest=may_suggest)
-        reason = self._reason(name, _cameras(values), may_suggest=may_suggest)
+    def unknown(self, name: str, values: Mapping[str, object] = _NONE) -> Problem:
+        problem = super().unknown(name, values)
+        reason = self._reason(name, _cameras(values))
         return Problem(problem.setting, f"there is no such parameter: {reason}") if reason else problem
 
-    def _reason(self, name: str, cameras: Sequence[str], *, may_suggest: bool) -> str:
+    def _reason(self, name: str, cameras: Sequence[str]) -> str:
         """Why there is no parameter `name` with these `cameras`; empty if they have nothing to do with it."""
         camera, separator, setting = name.partition(SEPARATOR)
         if self._overridden(name) and camera_names_rule([camera], self.by_name):
@@ -96,19 +92,18 @@ class OverridableSchema(Schema[Model]):
         if name in cameras:
             example = next(setting.name for setting in self.settings if setting.per_camera)
             return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."
-        if self._inherited(name) is None or (cameras and (not may_suggest or nearest(camera, cameras))):
+        if self._inherited(name) is None or (cameras and nearest(camera, cameras)):
             return ""
         present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
         return f"add the camera to {CAMERAS}, which {present}."
 
-    def _while_cameras_are_wrong(self, names: Sequence[str]) -> list[Problem]:
+    def _while_cameras_are_wrong(self, strays: Mapping[str, object]) -> list[Problem]:
         """The problems of overrides whose camera the corrected `cameras` may hold, whatever it is called."""
-        return [
-            Problem(name, f"add {camera_of(name)} when you correct {CAMERAS}.")
-            if self._inherited(name)
-            else self.unknown(name, {CAMERAS: (camera_of(name),)}, may_suggest=index < MAX_SUGGESTIONS)
-            for index, name in enumerate(names)
-        ]
+        waiting = [name for name in strays if self._inherited(name)]
+        told = [Problem(name, f"add {camera_of(name)} when you correct {CAMERAS}.") for name in waiting]
+        told += filter(None, (self.problem(name, strays[name]) for name in waiting))
+        unknown = [name for name in strays if not self._inherited(name)]
+        return told + self.all_unknown(unknown, {CAMERAS: [*dict.fromkeys(map(camera_of, unknown))]})
 
     def _inherited(self, name: str) -> Setting | None:
         """The setting of the node that the override `name` replaces; None if its camera cannot exist."""

@@ -1,19 +1,19 @@
-"""Snapshot of a camera of the node, with hints on why nothing is detected in its images."""
+"""Status of a camera of the node, with hints on why nothing is detected in its images."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass
 
 from rclpy.qos import ReliabilityPolicy
 
 from yolov5_lifecycle.detection.nms import WORTH_TELLING
 from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus
-from yolov5_lifecycle.ros.detector.depth import DepthStatus
-from yolov5_lifecycle.ros.detector.image_input import InputStatus
+from yolov5_lifecycle.ros.detector.image_input import ImageInput
+from yolov5_lifecycle.ros.detector.session import ActiveCamera, DetectorCamera
 from yolov5_lifecycle.ros.topics import DETECTIONS, DETECTIONS_3D, IMAGE, MASKS, of_camera
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, FrameBalance, LatencySummary, Outcome
+from yolov5_lifecycle.streaming.frame_statistics import EmptyRun, Outcome
 
 MANY_LOST = 4
 """More than one image lost per this many received is reported, given at least FEWEST_IMAGES."""
@@ -31,112 +31,97 @@ SLOW_S = 2.0
 
 @dataclass(frozen=True)
 class CameraStatus:
-    """Snapshot of a camera.
+    """Why `camera` has no output, and its values.
 
-    `camera`: its name in `cameras`, "" without one. `problem`: why it cannot be subscribed to, "" if it can.
-    `last_problem`: of its frames; `recent_failure`: the same while it lasts.
-    `topic`: the expected image topic, in every state; `input`: the subscription to it, None without one.
-    `lost`, `dropped_in_queue`: images sent but not received since activation, as counted by `ImageLosses`.
-    `settings`, `latency`, `empty`: while active. `tracking`: values of the tracker, empty without one.
-    `depth_status`: while active with the setting `depth`. `subscribers_3d`: subscriptions to detections in
-    space. `segments`: whether there is a model and it segments. `mask_subscribers`: subscriptions to masks.
-    `busy_s`: time that inference has spent on the current image, in seconds. `collecting_problem`: why no
-    images are kept although they should be, else "".
+    `topic`: the expected image topic, in every state.
     """
 
-    camera: str
-    last_problem: str
-    recent_failure: str
-    balance: FrameBalance
+    camera: DetectorCamera
     topic: TopicStatus
-    subscribers_3d: int
-    mask_subscribers: int
-    settings: Settings | None = None
-    problem: str = ""
-    input: InputStatus | None = None
-    lost: int | None = None
-    dropped_in_queue: int | None = None
-    latency: LatencySummary | None = None
-    empty: EmptyRun | None = None
-    tracking: Mapping[str, str] = field(default_factory=dict)
-    depth_status: DepthStatus | None = None
-    segments: bool = False
-    busy_s: float = 0.0
-    collecting_problem: str = ""
+
+    @property
+    def problem(self) -> str:
+        """Why the camera cannot be subscribed to, "" if it can."""
+        return self.camera.active.input.problem if self.camera.active else ""
 
     @property
     def hint(self) -> str:
         """The problem that leaves the camera of an active node without output, "" if there is none."""
-        if self.input is None:
+        active = self.camera.active
+        if active is None or active.input.reliability is None:
             return ""
-        if self.busy_s > SLOW_S:
+        if (busy_s := active.busy_s) > SLOW_S:
             return (
-                f"inference of one image takes more than {SLOW_S:g} s, {self.busy_s:.0f} s so far. "
+                f"inference of one image takes more than {SLOW_S:g} s, {busy_s:.0f} s so far. "
                 "If inference hangs, deactivate and activate the node; if the model is too slow, use a "
                 "smaller image_size or model"
             )
         if self.topic.publishers == 0:
             return _missing(self.topic) if self.topic.missing_s > DISCOVERY_S else ""
-        if self.input.reliability is ReliabilityPolicy.RELIABLE and any(
+        if active.input.reliability is ReliabilityPolicy.RELIABLE and any(
             offer.reliability is ReliabilityPolicy.BEST_EFFORT for offer in self.topic.offers
         ):
             return (
                 f"a best-effort publisher on {self.topic.name} does not match this reliable subscription: "
                 "set image_reliability to auto or best_effort"
             )
-        if self.input.silent_s > SILENCE_S:
-            silent_s = f"{self.input.silent_s:.0f} s"
-            return f"no image on {self.topic.name} for {silent_s}, although the topic has a publisher"
-        if _has_many_lost(self.input):
-            return _losses(self.input)
-        if self.recent_failure:
-            return self.recent_failure
-        if self.collecting_problem:
-            return f"no images are collected: {self.collecting_problem}"
-        return self.depth_status.hint if self.depth_status else ""
+        if (silent_s := active.input.silent_s) > SILENCE_S:
+            return f"no image on {self.topic.name} for {silent_s:.0f} s, although the topic has a publisher"
+        if losses := _losses(active.input):
+            return losses
+        if self.camera.recent_failure:
+            return self.camera.recent_failure
+        if active.collecting_problem:
+            return f"no images are collected: {active.collecting_problem}"
+        return active.depth.hint if active.depth else ""
 
     @property
     def remark(self) -> str:
         """Why the camera of an active node has no output although nothing is wrong; else ""."""
-        if self.input is None and self.problem:
+        active, outputs, name = self.camera.active, self.camera.outputs, self.camera.name
+        if active is None or outputs is None or self.problem:
             return ""
-        if self.subscribers_3d and self.depth_status is None:
-            topic = of_camera(DETECTIONS_3D, self.camera)
+        if outputs.subscribers_3d and active.depth is None:
+            topic = of_camera(DETECTIONS_3D, name)
             return f"{topic} has a subscriber, but nothing is published on it: set depth to true"
-        if self.mask_subscribers and not self.segments:
-            topic = of_camera(MASKS, self.camera)
+        if outputs.mask_subscribers and not active.session.model.detector.segments:
+            topic = of_camera(MASKS, name)
             return (
                 f"{topic} has a subscriber, but the loaded model does not segment: load a segmentation "
                 "model, such as yolov5n-seg.pt, with weights"
             )
-        if self.input is None:
-            outputs = " or ".join(of_camera(topic, self.camera) for topic in (DETECTIONS, IMAGE))
-            idle = f"idle (lazy): no subscribers to {outputs}, so no images are received"
+        if active.input.reliability is None:
+            unwatched = " or ".join(of_camera(topic, name) for topic in (DETECTIONS, IMAGE))
+            idle = f"idle (lazy): no subscribers to {unwatched}, so no images are received"
             is_missing = self.topic.publishers == 0 and self.topic.missing_s > DISCOVERY_S
             return f"{idle}; {_missing(self.topic)}" if is_missing else idle
         if self.topic.publishers == 0:
             return f"waiting for a publisher of images on {self.topic.name}"
-        return _emptiness(self.empty, self.settings) if self.empty and self.settings else ""
+        return _emptiness(active.empty_frames.run, active.settings)
 
     def values(self) -> dict[str, str]:
         """All values as strings, for diagnostics."""
-        values = {"last problem": self.problem or self.last_problem} if self.camera else {}
-        values |= {f"frames {outcome.value}": str(self.balance[outcome]) for outcome in Outcome}
-        values |= {"frames received": str(self.balance.received), "frames pending": str(self.balance.pending)}
+        camera, balance = self.camera, self.camera.counter.balance()
+        values = {"last problem": self.problem or camera.last_problem[0]} if camera.name else {}
+        values |= {f"frames {outcome.value}": str(balance[outcome]) for outcome in Outcome}
+        values |= {"frames received": str(balance.received), "frames pending": str(balance.pending)}
         values |= {"image topic": self.topic.name, "image publishers": str(self.topic.publishers)}
         values["other topics with images"] = ", ".join(self.topic.similar)
-        if self.input is not None:
-            values["image reliability"] = self.input.reliability.name.lower()
-        if self.lost is not None:
-            values |= {"frames lost": str(self.lost), "frames overtaken": str(self.dropped_in_queue)}
-        if self.latency is not None:
-            values["rate Hz"] = f"{self.latency.rate_hz:.1f}"
-            values["latency median ms"] = f"{self.latency.median_ms:.1f}"
-            values["latency p95 ms"] = f"{self.latency.p95_ms:.1f}"
-        if self.empty is not None:
-            values["empty frames in a row"] = str(self.empty.frames)
-            values["best score in them"] = f"{self.empty.best_missed:.2g}"
-        return values | dict(self.tracking) | (self.depth_status.values() if self.depth_status else {})
+        return values | (_active_values(camera.active) if camera.active else {})
+
+
+def _active_values(active: ActiveCamera) -> dict[str, str]:
+    values, latency, empty = {}, active.latencies.summary(time.monotonic()), active.empty_frames.run
+    if active.input.reliability is not None:
+        values["image reliability"] = active.input.reliability.name.lower()
+    values["frames lost"] = str(active.input.losses.lost)
+    values["frames overtaken"] = str(active.input.losses.dropped_in_queue)
+    values["rate Hz"] = f"{latency.rate_hz:.1f}"
+    values["latency median ms"] = f"{latency.median_ms:.1f}"
+    values["latency p95 ms"] = f"{latency.p95_ms:.1f}"
+    values["empty frames in a row"] = str(empty.frames)
+    values["best score in them"] = f"{empty.best_missed:.2g}"
+    return values | active.tracker_values() | (active.depth.values() if active.depth else {})
 
 
 def _emptiness(empty: EmptyRun, settings: Settings) -> str:
@@ -174,23 +159,22 @@ def _missing(topic: TopicStatus) -> str:
     return f"{text}. " + f"Images are published on {similar}: did you mean that?{then}"
 
 
-def _has_many_lost(recent: InputStatus) -> bool:
-    total = recent.received + recent.lost
-    return total >= FEWEST_IMAGES and recent.lost > recent.received / MANY_LOST
-
-
-def _losses(recent: InputStatus) -> str:
-    lost = (
-        f"{recent.lost} of {recent.received + recent.lost} images were lost between the camera and this node "
-        f"in the last {recent.window_s:.0f} s"
+def _losses(received: ImageInput) -> str:
+    """Report that many images were lost in the last seconds, else ""."""
+    count, lost, window_s = received.recent()
+    if count + lost < FEWEST_IMAGES or lost <= count / MANY_LOST:
+        return ""
+    text = (
+        f"{lost} of {count + lost} images were lost between the camera and this node in the last "
+        f"{window_s:.0f} s"
     )
-    if recent.max_bytes <= DEFAULT_SEGMENT_BYTES:
+    if received.max_bytes <= DEFAULT_SEGMENT_BYTES:
         return (
-            f"{lost}, because the machine or the link is overloaded. Lower the camera's rate, or send "
+            f"{text}, because the machine or the link is overloaded. Lower the camera's rate, or send "
             "compressed images"
         )
     return (
-        f"{lost}; images of {recent.max_bytes / 1e6:.1f} MB do not fit into the default shared memory of "
+        f"{text}; images of {received.max_bytes / 1e6:.1f} MB do not fit into the default shared memory of "
         "Fast DDS. If the camera runs on this machine, start the camera with the profile config/shm.xml; "
         "otherwise send compressed images, or lower the camera's rate"
     )

@@ -84,11 +84,11 @@ class Status:
     @property
     def of_cameras(self) -> list[Summary]:
         """Summary of each named camera."""
-        return [self._summary(camera) for camera in self.cameras if camera.camera]
+        return [self._summary(status) for status in self.cameras if status.camera.name]
 
-    def _summary(self, camera: CameraStatus) -> Summary:
-        hint, remark = (camera.hint, camera.remark) if self.state == "active" else ("", self._inactivity)
-        return Summary(camera.camera, camera.problem, hint, remark, camera.values())
+    def _summary(self, status: CameraStatus) -> Summary:
+        hint, remark = (status.hint, status.remark) if self.state == "active" else ("", self._inactivity)
+        return Summary(status.camera.name, status.problem, hint, remark, status.values())
 
     @property
     def _inactivity(self) -> str:

@@ -17,12 +17,13 @@ from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.background import Background
+from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.diagnostics import Status
 from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
 from yolov5_lifecycle.ros.detector.session import DetectorCamera, Preparation, Session
 from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
-from yolov5_lifecycle.ros.topics import impossible_names
+from yolov5_lifecycle.ros.topics import topic_problems
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
@@ -198,8 +199,8 @@ class ManagedResources:
 
     def update(self) -> None:
         """Adapt cameras and subscriptions to parameters and to the ROS graph."""
-        if self._label_info is None and not impossible_names(self.node, self._names()):
-            self._make_cameras()  # `configure` refuses impossible names
+        if self._label_info is None and not topic_problems(self.node, self._names()):
+            self._make_cameras()  # `configure` refuses them
         for name, camera in self._cameras.items():
             camera.update(self.parameters.value_for(name, "image_transport"))
 
@@ -210,7 +211,7 @@ class ManagedResources:
             problem=problem,
             settings=self.parameters.settings() if self._label_info else None,
             model=self.session.model if self.session else None,
-            cameras=tuple(camera.status() for camera in self._cameras.values()),
+            cameras=tuple(CameraStatus(camera, camera.topic.look()) for camera in self._cameras.values()),
             abandoned_threads=self.hanging_threads,
             resident_mb=resident_mb(),
             collected=self._collector.status if self._collector else None,

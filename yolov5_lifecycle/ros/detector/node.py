@@ -32,7 +32,7 @@ from yolov5_lifecycle.ros.rclpy_internals import (
     lifecycle_state,
 )
 from yolov5_lifecycle.ros.services import wrap_services
-from yolov5_lifecycle.ros.topics import impossible_names, remapping_problems
+from yolov5_lifecycle.ros.topics import topic_problems
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.settings import validated
 
@@ -228,12 +228,11 @@ class DetectorNode(PrintableNode, LifecycleNode):
 
     def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
-        if problems := impossible_names(self, cameras):
+        problems = topic_problems(self, cameras)
+        if problems or self._is_qos_checked:  # the overrides are fixed, but their camera may be gone since
             return problems
         are_undecided = any(problem.setting == CAMERAS for problem in self._settings.problems)
-        # The overrides are fixed, but their camera may be gone since.
-        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras, are_undecided=are_undecided)
-        return [*remapping_problems(self, cameras), *map(str, of_qos)]
+        return [str(problem) for problem in qos_problems(self, cameras, are_undecided=are_undecided)]
 
     def _status(self) -> Status:
         self._resources.update()
