@@ -13,8 +13,7 @@ from pydantic_core.core_schema import ValidationInfo
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.models.architecture import Size
 from yolov5_lifecycle.process.missing_package import absence_of
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
-from yolov5_lifecycle.settings.camera_overrides import OverridableSchema, overrides_of
+from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS, OverridableSchema, overrides_of
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
 from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
 from yolov5_lifecycle.settings.value_rules import COLLECT_REASONS, RULES, Rule, cameras

@@ -16,7 +16,7 @@ from support.preparations import Preparations
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.services import MAX_ITEMS
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS
 from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, Settings
 
 DEFAULTS = {

@@ -132,8 +132,9 @@ class DepthInput:
         if self.clock() - self.rejected_s < RECENT_S:
             return f"{_NO_PLACE}: {self.rejection}"
         run = self.run
-        is_long = run is not None and run.ended_s - run.begun_s > UNPLACED_S
-        return f"{_NO_PLACE}: {run.reason}" if run is not None and is_long else ""
+        if run is not None and run.ended_s - run.begun_s > UNPLACED_S:
+            return f"{_NO_PLACE}: {run.reason}"
+        return ""
 
     def values(self) -> dict[str, str]:
         """All values as strings, for diagnostics."""

@@ -17,8 +17,7 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import CameraTopic
-from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
-from yolov5_lifecycle.ros.topics import endpoint_name
+from yolov5_lifecycle.ros.topics import endpoint_name, overridden_reliability, overriding_options
 
 Policy = TypeVar("Policy", ReliabilityPolicy, DurabilityPolicy)
 Reliability = Literal["auto", "best_effort", "reliable"]

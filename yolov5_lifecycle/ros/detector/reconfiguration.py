@@ -13,8 +13,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.selection import model_problems
-from yolov5_lifecycle.ros.detector.background import resume
-from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
+from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources, resume
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused
 from yolov5_lifecycle.ros.services import Handler

@@ -9,7 +9,6 @@ from concurrent.futures import Future
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
-from builtin_interfaces.msg import Time
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Header
 from vision_msgs.msg import LabelInfo, VisionClass
@@ -22,8 +21,7 @@ from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
-from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
+from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage, Outputs
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
@@ -39,14 +37,6 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 """Exceptions of a preparation with a message for the user; any other is a bug."""
 MAX_ABANDONED_SESSIONS = 3
 """Each holds the memory of its model and images; beyond this limit, restart the process."""
-
-
-def abandoned(rest_timeout_s: float) -> str:
-    """What is reported when a frame hangs for longer than that."""
-    return (
-        f"inference did not end within {rest_timeout_s:g} s, so the node abandons the thread; the thread's "
-        "memory stays in use"
-    )
 
 
 @dataclass(eq=False)
@@ -73,30 +63,15 @@ class DetectorCamera:
     def __post_init__(self) -> None:
         self.topic = colour_topic(self.node, RAW, camera=self.name, cameras=self.cameras)
 
-    def collect_next(self) -> bool:
-        """Keep the next image; False if this camera collects none."""
-        if self.active is None or self.active.collecting is None:
-            return False
-        self.active.collecting.request()
-        return True
-
-    def release(self) -> None:
-        """Destroy the publishers; call when no frame is in progress."""
-        if self.outputs is not None:
-            self.outputs.close()
-            self.outputs = None
-
     def use(self, transport: Transport) -> None:
         """Expect images on the topic of `transport`."""
         if transport != self.topic.form:
             self.topic = colour_topic(self.node, transport, camera=self.name, cameras=self.cameras)
 
-    def update(self, transport: Transport) -> None:
-        """Adapt the subscriptions to subscribers and publishers; `transport` is the setting of the camera."""
-        if self.active is None:
-            self.use(transport)
-        else:
-            self.active.update()
+    def follow_subscribers(self) -> None:
+        """Adapt the subscriptions of an active camera to the subscribers of its outputs."""
+        if self.active is not None:
+            self.active.follow_subscribers()
 
     @property
     def recent_failure(self) -> str:
@@ -228,7 +203,7 @@ class ActiveCamera:
         often = f" {jumps} times" if jumps > 1 else ""
         self.camera.node.get_logger().warning(
             f"{whose}the stamps of the images went back{often} by {self._stamps.last_jump_s:.1f} s: tracking "
-            "begins anew. This is right if a recording or the simulation began again; otherwise look for a "
+            "begins again. This is right if a recording or the simulation began again; otherwise look for a "
             "second publisher or a clock that was set"
         )
 
@@ -329,10 +304,6 @@ class Session:
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
         self._publish_label_info(settings)
-        self.follow_subscribers()
-
-    def follow_subscribers(self) -> None:
-        """See `ActiveCamera.follow_subscribers`."""
         for camera in self.active.values():
             camera.follow_subscribers()
 
@@ -386,16 +357,12 @@ class Session:
         return model.weights_sha256 != before.weights_sha256 or not before.serves(model.settings)
 
     def _publish_label_info(self, settings: Settings) -> None:
-        stamp = self.node.get_clock().now().to_msg()
+        """The class names of the model, and the threshold of the node."""
+        names = self.model.detector.class_names
         self.label_info.publish(
-            label_info(self.model.detector.class_names, settings.confidence_threshold, stamp)
+            LabelInfo(
+                header=Header(stamp=self.node.get_clock().now().to_msg()),
+                class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(names)],
+                threshold=settings.confidence_threshold,
+            )
         )
-
-
-def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
-    """LabelInfo message with the class names of the loaded model and the threshold of the node."""
-    return LabelInfo(
-        header=Header(stamp=stamp),
-        class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(class_names)],
-        threshold=confidence_threshold,
-    )
