@@ -19,8 +19,7 @@ from support.preparations import Preparations
 from support.served_node import ServedNode, image
 from vision_msgs.msg import Detection3DArray
 
-from yolov5_lifecycle.ros.qos_overrides import qos_problems
-from yolov5_lifecycle.ros.topics import full_name, published, subscribed
+from yolov5_lifecycle.ros.topics import full_name, published, qos_problems, subscribed
 
 PAGE = REPOSITORY / "docs" / "images.md"
 CAMERA = "/camera/image_raw"

@@ -15,12 +15,7 @@ from support.detector_process import environment
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import PATIENCE_S
-from yolov5_lifecycle.ros.shared_memory import (
-    PROCESS_BYTES,
-    TRACER_BYTES,
-    shared_memory_problems,
-    warn_before_import,
-)
+from yolov5_lifecycle.ros.shared_memory import PROCESS_BYTES, shared_memory_problems
 
 FOLDER = Path("/shared")
 PROFILE = REPOSITORY / "config" / "shm.xml"
@@ -62,23 +57,9 @@ def test_a_middleware_without_shared_memory_gets_no_warning(variables: dict[str,
     assert problems(0, **variables) == []
 
 
-def test_a_machine_without_such_a_folder_gets_no_warning(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_machine_without_such_a_folder_gets_no_warning() -> None:
     absent = Path("/nowhere/at/all")
     assert shared_memory_problems(absent, environment={}) == []
-    warn_before_import("camera", absent)
-    assert capsys.readouterr().err == ""
-
-
-def test_a_full_folder_is_reported_before_it_kills_the_tracer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES)
-    assert capsys.readouterr().err == ""
-    warn_before_import("camera", tmp_path, free=lambda _: TRACER_BYTES - 1)
-    assert capsys.readouterr().err.startswith("camera: ROS's tracer, LTTng, may crash")
-    (tmp_path / "lttng-ust-wait-6-1000").touch()
-    warn_before_import("camera", tmp_path, free=lambda _: 0)
-    assert capsys.readouterr().err == "", "its files are there already"
 
 
 # Real processes whose /dev/shm is small
@@ -110,9 +91,3 @@ def test_a_process_with_too_little_says_so_and_works(small: list[str], ros_domai
         os.kill(number, signal.SIGTERM)
         assert process.wait(PATIENCE_S) == 0
     assert "and Fast DDS needs 656 KiB for this process" in process.output
-
-
-def test_a_process_that_the_tracer_ends_has_said_why(small: list[str], ros_domain: int) -> None:
-    command = [*small, _mount("4k", [entry_point("detector"), "--help"])]
-    run = subprocess.run(command, env=environment(ros_domain), capture_output=True, text=True, timeout=60)
-    assert "because /dev/shm is full" in run.stderr

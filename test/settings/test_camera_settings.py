@@ -8,7 +8,7 @@ import pytest
 
 from yolov5_lifecycle.detection.selection import model_problems
 from yolov5_lifecycle.ros.topics import published, subscribed
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, validated
 

@@ -154,11 +154,11 @@ def test_every_frame_is_counted_once(seed: int, parallel: tuple[str, ...]) -> No
         thread.join(PATIENCE_S)
     for camera in cameras:
         balance = camera.counter.balance()
-        assert balance.received == THREADS * OFFERS
-        assert balance.pending == 0
-        assert balance[Outcome.DETECTED] == len(camera.published)
-        assert all(balance[outcome] >= camera.reported[outcome] for outcome in ENDED)
-        assert sum(balance[outcome] for outcome in ENDED) == len(camera.begun)
+        assert balance["received"] == THREADS * OFFERS
+        assert balance["pending"] == 0
+        assert balance["detected"] == len(camera.published)
+        assert all(balance[outcome.value] >= camera.reported[outcome] for outcome in ENDED)
+        assert sum(balance[outcome.value] for outcome in ENDED) == len(camera.begun)
     begun = sum(len(camera.begun) for camera in cameras)
     reported = sum(camera.reported.total() for camera in cameras)
     assert begun - reported <= sessions.timeouts * CAMERAS, "only abandoned frames are not reported"

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.streaming.frame_statistics import FrameBalance, FrameCounter, Outcome
+from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Pipeline, Send
 
 PATIENCE_S = 60.0
@@ -105,12 +105,13 @@ class ScriptedCamera:
         self.publish_gate.set()
         self.draw_gate.set()
 
-    def balance(self) -> FrameBalance:
+    def balance(self) -> dict[str, int]:
         return self.queue.counter.balance()
 
     def counts(self) -> dict[Outcome, int]:
         """Outcomes that occurred."""
-        return {outcome: count for outcome, count in self.balance().outcomes.items() if count}
+        balance = self.balance()
+        return {outcome: balance[outcome.value] for outcome in Outcome if balance[outcome.value]}
 
     def _report(self, outcome: Outcome, error: Exception | None) -> None:
         if error is not None:

@@ -11,7 +11,6 @@ from yolov5_lifecycle.commands.entry_points import EXIT_UNABLE, prepare_process
 from yolov5_lifecycle.process.memory import prepare_heap
 from yolov5_lifecycle.process.missing_package import import_problem
 from yolov5_lifecycle.process.standard_streams import complain
-from yolov5_lifecycle.ros.shared_memory import warn_before_import
 
 _ROS_THREADS = 12
 """Eight threads of Fast DDS, plus those of the node and rclpy."""
@@ -25,7 +24,6 @@ def _run(command: str, module: str) -> NoReturn:
     """
     prepare_heap()
     prepare_process(command, signal_code=0, further_threads=_ROS_THREADS)
-    warn_before_import(command)
     try:
         main = import_module(module).main
     except ImportError as error:

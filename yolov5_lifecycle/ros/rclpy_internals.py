@@ -18,7 +18,6 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 
@@ -85,15 +84,6 @@ class ForgettingGroup(ReentrantCallbackGroup):
 
     def add_entity(self, entity: object) -> None:
         self.entities.add(weakref.ref(entity, self.entities.discard))
-
-
-def take_message(subscription: Subscription, message_type: type) -> Any | None:
-    """Take the next message of a subscription that no executor serves; None if there is none.
-
-    rclpy/executors.py, `Executor._take_subscription`: rclpy has no public method for it; rclcpp has `take`.
-    """
-    taken = subscription.handle.take_message(message_type, False)
-    return None if taken is None else taken[0]
 
 
 class ResilientExecutor(SingleThreadedExecutor):

@@ -1,4 +1,4 @@
-"""Check for enough free shared memory for Fast DDS and LTTng, ROS's tracer."""
+"""Check for enough free shared memory for Fast DDS."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from yolov5_lifecycle.process.standard_streams import complain
-
 DEFAULT_RMW = "rmw_fastrtps_cpp"
 """ROS's middleware where RMW_IMPLEMENTATION is not set: Fast DDS."""
 FOLDER = Path("/dev/shm")
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 PROCESS_BYTES = 656 << 10
 """Shared memory of a process: Fast DDS's default 512 KiB segment, two ports and their bookkeeping."""
-TRACER_BYTES = 8 << 10
 _SEGMENT_FACTOR = 1.05  # size of a profile's segment including its bookkeeping
 _MAX_PROFILE_BYTES = 1 << 20
 _REMEDY = (
@@ -51,32 +48,8 @@ def shared_memory_problems(
         return []
     return [
         f"{folder} has {found >> 10} KiB free and Fast DDS needs {needed >> 10} KiB for this process, "
-        f"so Fast DDS uses only UDP, which loses large images. {_remedy(folder)}"
+        f"so Fast DDS uses only UDP, which loses large images. {_REMEDY.format(folder=folder)}"
     ]
-
-
-def warn_before_import(
-    command: str, folder: Path = FOLDER, *, free: Callable[[Path], int] = free_bytes
-) -> None:
-    """Warn on stderr, before rclpy is imported, if the import may kill the process.
-
-    LTTng, the tracer that comes with rclpy, creates two one-page files per user. If they do not fit, the
-    kernel kills the process with SIGBUS.
-    """
-    try:
-        is_safe = free(folder) >= TRACER_BYTES or any(folder.glob("lttng-ust-wait-*"))
-    except OSError:
-        return
-    if not is_safe:
-        complain(
-            command,
-            f"ROS's tracer, LTTng, may crash this process with a bus error now, because {folder} is full. "
-            f"{_remedy(folder)}",
-        )
-
-
-def _remedy(folder: Path) -> str:
-    return _REMEDY.format(folder=folder)
 
 
 def _is_taken(environment: Mapping[str, str]) -> bool:

@@ -1,10 +1,24 @@
-"""The node's topics, for each camera, and their remapped names."""
+"""The node's topics, for each camera: their remapped names, and QoS overrides given at startup.
+
+An override is a parameter such as `qos_overrides.TOPIC.publisher.POLICY`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, QoSPolicyKind, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
+from yolov5_lifecycle.settings.schema import Problem
+from yolov5_lifecycle.settings.settings import Settings
+from yolov5_lifecycle.settings.suggestion import did_you_mean
+from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
+from yolov5_lifecycle.settings.value_text import value_text
 
 DETECTIONS = "~/detections"
 DETECTIONS_3D = "~/detections_3d"
@@ -23,6 +37,17 @@ _SUBSCRIBED = (*COLOUR_IMAGES, DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)
 _OTHERS = ("/diagnostics", "/rosout", "/parameter_events")
 
 _COMPRESSED = "/compressed"
+
+Kind = Literal["publisher", "subscription"]
+
+MAX_DEPTH = 10_000
+
+_CHOICES = {
+    "history": [name for name in HistoryPolicy.short_keys() if name != "unknown"],
+    "reliability": [name for name in ReliabilityPolicy.short_keys() if name != "unknown"],
+}
+_POLICIES = (*_CHOICES, "depth")
+_REMEDY = "Correct it and restart the node."
 
 
 def of_camera(topic: str, camera: str) -> str:
@@ -50,29 +75,21 @@ def endpoint_name(node: Node, topic: str) -> str:
     return str(node.resolve_topic_name(topic.removesuffix(_COMPRESSED))) + _COMPRESSED
 
 
-def impossible_names(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per topic of `node` with these `cameras` whose full name is too long for ROS."""
-    topics = (*published(cameras), *subscribed(cameras))
-    return [problem for topic in topics if (problem := _naming_problem(node, topic))]
+def topic_problems(node: Node, cameras: Sequence[str]) -> list[str]:
+    """One problem per name to which several topics of `node` with these `cameras` are remapped.
 
-
-def _naming_problem(node: Node, topic: str) -> str:
+    Only the first topic if ROS refuses its full name as too long.
+    """
+    topic, by_name = "", dict[str, list[str]]()
     try:
-        full_name(node, topic)
+        for topic in (*published(cameras), *subscribed(cameras), *_OTHERS):
+            by_name.setdefault(full_name(node, topic), []).append(topic)
     except RuntimeError as error:
         reason = str(error).partition(", at /")[0]
-        return (
+        return [
             f"ROS refuses the full name of {topic}: {reason}: use a shorter name for the camera, or restart "
             "the node with a shorter namespace or other remappings"
-        )
-    return ""
-
-
-def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
-    """One problem per name to which several topics of `node` are remapped; none may be impossible."""
-    by_name: dict[str, list[str]] = {}
-    for topic in (*published(cameras), *subscribed(cameras), *_OTHERS):
-        by_name.setdefault(full_name(node, topic), []).append(topic)
+        ]
     return [
         f"{' and '.join(topics)} are remapped to the same topic, {name}: restart the node with "
         "different remappings"
@@ -84,3 +101,89 @@ def remapping_problems(node: Node, cameras: Sequence[str]) -> list[str]:
 def full_name(node: Node, topic: str) -> str:
     """Name of `topic` in the ROS graph."""
     return str(node.resolve_topic_name(endpoint_name(node, topic)))
+
+
+def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = False) -> list[Problem]:
+    """QoS overrides that are invalid or match no topic of `node` with these `cameras`.
+
+    Fixing them needs a restart, unless `cameras` lacks a camera: `are_undecided`.
+    """
+    topics: dict[Kind, list[str]] = {"publisher": published(cameras), "subscription": subscribed(cameras)}
+    policy_of = {
+        _name(node, topic, kind, policy): policy
+        for kind in topics
+        for topic in topics[kind]
+        for policy in _POLICIES
+    }
+    problems = []
+    for name, override in parameter_overrides(node).items():
+        if name not in policy_of and name.startswith(QOS_PREFIX):
+            problems.append(Problem(name, _unknown(name, policy_of, are_undecided)))
+        elif name in policy_of and (rule := _broken_rule(policy_of[name], override)):
+            problems.append(Problem(name, f"{value_text(override.value)} is not {rule} {_REMEDY}"))
+    return problems
+
+
+def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
+    """A QoS override and `image_reliability` must not both set a camera's reliability."""
+    overrides = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX)]
+    if not overrides or topic_problems(node, settings.camera_names):  # which `configure` refuses
+        return []
+    problems = []
+    for camera in settings.camera_names:
+        reliability = settings.for_camera(camera).image_reliability
+        topics = [of_camera(topic, camera) for topic in COLOUR_IMAGES]
+        names = [_name(node, topic, "subscription", "reliability") for topic in topics]
+        if reliability != "auto" and (given := [name for name in names if name in overrides]):
+            reason = f"{reliability!r} and {given[0]} both set the reliability of the subscription."
+            is_inherited = reliability == settings.image_reliability
+            name = "image_reliability" if is_inherited else f"{camera}.image_reliability"
+            problems.append(Problem(name, f"{reason} Use 'auto', or start without the override."))
+    return problems
+
+
+def overridden_reliability(node: Node, topic: str) -> ReliabilityPolicy | None:
+    """Reliability that an override sets for the subscription to `topic`, None without an override."""
+    override = parameter_overrides(node).get(_name(node, topic, "subscription", "reliability"))
+    return None if override is None else ReliabilityPolicy[override.value.upper()]
+
+
+def overriding_options(node: Node, topic: str, kind: Kind) -> QoSOverridingOptions:
+    """Options for the endpoint of `topic`, limited to the policies that have an override."""
+    # rclpy fixes every policy listed here to its first value: without an override, the reliability of the
+    # image subscription could no longer follow the camera.
+    overrides = parameter_overrides(node)
+    return QoSOverridingOptions(
+        [
+            QoSPolicyKind[policy.upper()]
+            for policy in _POLICIES
+            if _name(node, topic, kind, policy) in overrides
+        ]
+    )
+
+
+def _name(node: Node, topic: str, kind: Kind, policy: str) -> str:
+    """Name of the parameter that overrides `policy` of the endpoint of `topic`."""
+    return f"{QOS_PREFIX}{full_name(node, topic)}.{kind}.{policy}"
+
+
+def _unknown(name: str, known: dict[str, str], are_undecided: bool) -> str:
+    endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
+    if are_undecided and name.removeprefix(QOS_PREFIX).rpartition(".")[0] not in endpoints:
+        return "correct cameras first: none of its valid cameras has such a topic."
+    hint = did_you_mean(name, known)
+    if not hint:
+        hint = f" Expected one of {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
+    return f"this node has no such topic or policy.{hint} {_REMEDY}"
+
+
+def _broken_rule(policy: str, override: Parameter) -> str:
+    """The rule that `override` violates, "" if it is valid."""
+    if policy == "depth":
+        is_valid = override.type_ is Parameter.Type.INTEGER and 1 <= override.value <= MAX_DEPTH
+        return "" if is_valid else f"an integer from 1 to {MAX_DEPTH}."
+    value, choices = override.value, _CHOICES[policy]
+    if value in choices:
+        return ""
+    hint = did_you_mean(value, choices) if isinstance(value, str) else ""
+    return f"one of {', '.join(choices)}.{hint}"

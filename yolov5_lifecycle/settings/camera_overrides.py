@@ -1,20 +1,35 @@
-"""Overrides of settings for one camera, such as `front.max_rate`: names, values and their validation."""
+"""Names of cameras, and overrides of settings for one camera, such as `front.max_rate`.
+
+The names become parts of topic names and prefixes of parameter names.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from types import MappingProxyType
 from typing import TypeVar
 
 from pydantic import BaseModel
 
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, MAX_NAME_LENGTH, camera_names_rule
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
-from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, nearest
+from yolov5_lifecycle.settings.suggestion import nearest
+from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
 
 CAMERAS = "cameras"
 """The setting that names the cameras."""
+MAX_CAMERAS = 16
+MAX_NAME_LENGTH = 64
+"""Max characters of a name."""
+
+_NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*_?")
+_TOPICS = ("image", "image_raw", "detections", "detections_3d", "masks", "label_info")
+"""First parts of the names of the node's own topics; `depth` is a setting, too."""
+NODE_STATUS = "detection"
+"""Name of the node's own status in /diagnostics, beside those of its cameras."""
 _NONE: Mapping[str, object] = MappingProxyType({})
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -50,9 +65,7 @@ class OverridableSchema(Schema[Model]):
         overrides, of_cameras = self._of_cameras(own, given)
         settings, of_node = self._attempt(own, overrides)
         if any(problem.setting == CAMERAS for problem in of_node):
-            of_strays = self._while_cameras_are_wrong(strays)
-            wrong = (self.problem(name, dotted[name]) for name in strays if self._inherited(name))
-            of_strays += filter(None, wrong)
+            of_strays = self._while_cameras_are_wrong({name: dotted[name] for name in strays})
         else:
             of_strays = self.all_unknown(strays, values)
         inherited = {f"{camera}{SEPARATOR}{problem}" for camera in _cameras(values) for problem in of_node}
@@ -77,14 +90,12 @@ class OverridableSchema(Schema[Model]):
             return None
         return f"{near_camera}{SEPARATOR}{near}"
 
-    def unknown(
-        self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
-    ) -> Problem:
-        problem = super().unknown(name, values, may_suggest=may_suggest)
-        reason = self._reason(name, _cameras(values), may_suggest=may_suggest)
+    def unknown(self, name: str, values: Mapping[str, object] = _NONE) -> Problem:
+        problem = super().unknown(name, values)
+        reason = self._reason(name, _cameras(values))
         return Problem(problem.setting, f"there is no such parameter: {reason}") if reason else problem
 
-    def _reason(self, name: str, cameras: Sequence[str], *, may_suggest: bool) -> str:
+    def _reason(self, name: str, cameras: Sequence[str]) -> str:
         """Why there is no parameter `name` with these `cameras`; empty if they have nothing to do with it."""
         camera, separator, setting = name.partition(SEPARATOR)
         if self._overridden(name) and camera_names_rule([camera], self.by_name):
@@ -96,19 +107,18 @@ class OverridableSchema(Schema[Model]):
         if name in cameras:
             example = next(setting.name for setting in self.settings if setting.per_camera)
             return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."
-        if self._inherited(name) is None or (cameras and (not may_suggest or nearest(camera, cameras))):
+        if self._inherited(name) is None or (cameras and nearest(camera, cameras)):
             return ""
         present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
         return f"add the camera to {CAMERAS}, which {present}."
 
-    def _while_cameras_are_wrong(self, names: Sequence[str]) -> list[Problem]:
+    def _while_cameras_are_wrong(self, strays: Mapping[str, object]) -> list[Problem]:
         """The problems of overrides whose camera the corrected `cameras` may hold, whatever it is called."""
-        return [
-            Problem(name, f"add {camera_of(name)} when you correct {CAMERAS}.")
-            if self._inherited(name)
-            else self.unknown(name, {CAMERAS: (camera_of(name),)}, may_suggest=index < MAX_SUGGESTIONS)
-            for index, name in enumerate(names)
-        ]
+        waiting = [name for name in strays if self._inherited(name)]
+        told = [Problem(name, f"add {camera_of(name)} when you correct {CAMERAS}.") for name in waiting]
+        told += filter(None, (self.problem(name, strays[name]) for name in waiting))
+        unknown = [name for name in strays if not self._inherited(name)]
+        return told + self.all_unknown(unknown, {CAMERAS: [*dict.fromkeys(map(camera_of, unknown))]})
 
     def _inherited(self, name: str) -> Setting | None:
         """The setting of the node that the override `name` replaces; None if its camera cannot exist."""
@@ -155,3 +165,42 @@ def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:
     if not isinstance(names, (list, tuple)):
         return ()
     return tuple(name for name in names[:MAX_CAMERAS] if isinstance(name, str))
+
+
+def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
+    """The first rule that `names` violate, or an empty string; `settings` are the names of the settings."""
+    for name in names:
+        if len(name) > MAX_NAME_LENGTH or not _NAME.fullmatch(name):
+            return (
+                f"must be names of at most {MAX_NAME_LENGTH} letters, digits and single underscores that "
+                f"begin with a letter: rename {_shown(name)}."
+            )
+        if owner := _owner(name, settings):
+            return f"must not hold {name!r}, the name of {owner}: rename that camera."
+    if repeated := [name for name, count in Counter(names).items() if count > 1]:
+        return f"must name each camera once: leave out one {repeated[0]!r}."
+    return ""
+
+
+def usable_names(value: object) -> tuple[str, ...]:
+    """The first MAX_CAMERAS valid names in `value`, which another node calls its cameras."""
+    if not isinstance(value, (list, tuple)):
+        return ()
+    names = dict.fromkeys(name for name in value if isinstance(name, str))
+    valid = (name for name in names if not camera_names_rule([name], ()))
+    return tuple(islice(valid, MAX_CAMERAS))
+
+
+def _owner(name: str, settings: Collection[str]) -> str:
+    """What is already called `name`, or an empty string."""
+    if name in settings:
+        return "a setting"
+    if name in _TOPICS:
+        return "a topic"
+    if name == NODE_STATUS:
+        return "the status of the node in /diagnostics"
+    return "a parameter of ROS" if f"{name}{SEPARATOR}".startswith(ROS_PREFIXES) else ""
+
+
+def _shown(name: str) -> str:
+    return repr(name) if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]!r}..."

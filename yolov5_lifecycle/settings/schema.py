@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS, did_you_mean, nearest
+from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN, did_you_mean, nearest
 from yolov5_lifecycle.settings.value_text import MAX_SHOWN, shown_value
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -187,29 +187,27 @@ class Schema(Generic[Model]):
             return None
         return self._synonyms.get(name) or nearest(name, self.by_name)
 
-    def unknown(
-        self, name: str, values: Mapping[str, object] = _NONE, *, may_suggest: bool = True
-    ) -> Problem:
-        """The problem for an unknown name, with the setting that was probably meant if `may_suggest`."""
+    def unknown(self, name: str, values: Mapping[str, object] = _NONE) -> Problem:
+        """The problem for an unknown name, with the setting that was probably meant."""
         shown = in_one_line(name[:MAX_SHOWN])
         if name in self._not_settings:
             return Problem(shown, f"there is no such parameter: {self._not_settings[name]}")
-        meant = self.meant(name, values) if may_suggest else None
+        meant = self.meant(name, values)
         return Problem(shown, "there is no such parameter." + (f" Did you mean '{meant}'?" if meant else ""))
 
-    def all_unknown(self, names: Iterable[str], values: Mapping[str, object] = _NONE) -> list[Problem]:
-        """The problem of each of these unknown names; of very many, only the first get a suggestion."""
-        return [
-            self.unknown(name, values, may_suggest=index < MAX_SUGGESTIONS)
-            for index, name in enumerate(names)
-        ]
+    def all_unknown(self, names: Sequence[str], values: Mapping[str, object] = _NONE) -> list[Problem]:
+        """The problem of each of these unknown names; of very many, of the first ones and of the others."""
+        told = [self.unknown(name, values) for name in names[:MAX_UNKNOWN]]
+        if more := len(names) - len(told):
+            told.append(Problem(f"and {more} more", "there are no such parameters."))
+        return told
 
     def _attempt(
         self, values: Mapping[str, object], context: Mapping[str, object] | None = None
     ) -> tuple[Model | None, list[Problem]]:
         """The settings, None if one is invalid, and every problem."""
         known = {name: _frozen(value) for name, value in values.items() if name in self.by_name}
-        settings, problems = None, self.all_unknown((name for name in values if name not in known), values)
+        settings, problems = None, self.all_unknown([name for name in values if name not in known], values)
         try:
             settings = self._model.model_validate(known, context=context)
         except ValidationError as error:

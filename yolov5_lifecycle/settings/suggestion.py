@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
 from itertools import islice
 
-MAX_SUGGESTIONS = 20
-"""Of many unknown names in a file or at the start, those for which a similar one is sought, 1 ms each."""
+MAX_UNKNOWN = 20
+"""Of many unknown names, those that are told, with a similar one that is sought in 1 ms each."""
 MAX_WORD_LENGTH = 100
 """Longer words get no suggestion and are never suggested."""
 MAX_CHARACTERS = 20_000

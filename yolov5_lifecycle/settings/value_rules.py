@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from yolov5_lifecycle.images.region import Region
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.settings.camera_names import camera_names_rule
+from yolov5_lifecycle.settings.camera_overrides import camera_names_rule
 from yolov5_lifecycle.settings.schema import violation
 from yolov5_lifecycle.settings.suggestion import did_you_mean
 

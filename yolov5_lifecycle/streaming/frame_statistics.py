@@ -31,18 +31,6 @@ class Outcome(Enum):
     """It was still waiting when detection stopped."""
 
 
-@dataclass(frozen=True)
-class FrameBalance:
-    """Counts since the counter was created: `received` is always the sum of the outcomes and `pending`."""
-
-    received: int
-    pending: int
-    outcomes: dict[Outcome, int]
-
-    def __getitem__(self, outcome: Outcome) -> int:
-        return self.outcomes[outcome]
-
-
 class FrameCounter:
     """Counts received and finished frames, in any thread."""
 
@@ -59,11 +47,12 @@ class FrameCounter:
         with self._lock:
             self._outcomes[outcome] += 1
 
-    def balance(self) -> FrameBalance:
-        """A consistent snapshot of all counts."""
+    def balance(self) -> dict[str, int]:
+        """A consistent snapshot: `received` is always the sum of the outcomes, by name, and `pending`."""
         with self._lock:
-            outcomes = {outcome: self._outcomes[outcome] for outcome in Outcome}
-            return FrameBalance(self._received, self._received - sum(outcomes.values()), outcomes)
+            received = self._received
+            outcomes = {outcome.value: self._outcomes[outcome] for outcome in Outcome}
+        return {**outcomes, "received": received, "pending": received - sum(outcomes.values())}
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from yolov5_lifecycle.ros.console import detector
 from yolov5_lifecycle.ros.console.detector import SILENCE_S, Detector
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 from yolov5_lifecycle.ros.console.views import StatusView
-from yolov5_lifecycle.settings.camera_names import NODE_STATUS
+from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS
 
 STATUSES = [StatusView(NODE_STATUS, level=0, message="", values={"state": "unconfigured"})]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import pytest
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import Log, ParameterDescriptor, ParameterType, ParameterValue
 from rclpy.parameter import Parameter
@@ -20,7 +19,6 @@ from yolov5_lifecycle.ros.console.parameter_view import (
     shown_values,
 )
 from yolov5_lifecycle.ros.console.views import line_of, statuses_of
-from yolov5_lifecycle.ros.detector.session import label_info
 from yolov5_lifecycle.ros.parameters.declaration import unset_descriptor
 from yolov5_lifecycle.settings.settings import SETTINGS
 
@@ -81,7 +79,9 @@ def test_a_name_of_any_kind_is_shown_as_the_model_has_it() -> None:
     family, persian, longest = "👩\u200d👩\u200d👧", "می\u200cشود", "行" * MAX_NAME_LENGTH
     names = [7, True, "", "a\u00a0b\tc", "\x1b[2J", "c\u200dat", "\ud800", family, persian, longest]
     texts = class_names_of(names, len(names), len(names))
-    assert tuple(views.class_names_of(label_info(texts, 0.25, Time()))) == texts
+    named = [VisionClass(class_id=index, class_name=name) for index, name in enumerate(texts)]
+    labels = LabelInfo(class_map=named)
+    assert tuple(views.class_names_of(labels)) == texts
 
 
 def test_descriptors_tell_default_choices_range_kind_of_change_and_scope() -> None:

@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
-from bond.msg import Constants, Status
+from bond.msg import Status
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.clock import Clock, ClockType
@@ -19,7 +19,7 @@ from support.detector_process import PARAMETERS, DetectorProcess, as_arguments, 
 from support.preparations import Preparations, prediction
 from support.served_node import PATIENCE_S, ServedNode
 
-from yolov5_lifecycle.ros.detector.bond import CONNECT_S, Bond, check_bond
+from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 
 MANY = 15
@@ -159,10 +159,6 @@ def test_the_bond_is_off_unless_it_is_asked_for(served: ServedNode) -> None:
 def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs(prepare: Preparations) -> None:
     heard: list[Status] = []
 
-    def take(message: Status) -> None:
-        if message.instance_id != "manager":
-            heard.append(message)
-
     def wait_for_more() -> None:
         wanted = len(heard) + MANY
         served.wait_for(lambda: len(heard) >= wanted, "heartbeats")
@@ -174,12 +170,8 @@ def test_heartbeats_go_on_while_a_model_is_loaded_and_while_inference_hangs(prep
 
     begun, release = threading.Event(), threading.Event()
     with ServedNode(prepare, parameters=["bond_timeout:=4.0"]) as served:
-        served.client.create_subscription(Status, "/bond", take, 100)
-        manager = served.client.create_publisher(Status, "/bond", 5)
+        served.client.create_subscription(Status, "/bond", heard.append, 100)
         served.bring_to("active")
-        served.wait_for(lambda: manager.get_subscription_count() == 2, "both subscriptions")
-        manager.publish(Status(id="yolov5", instance_id="manager", active=True))
-        served.wait_for_log("bonded with the lifecycle manager")
         assert prepare.begun.acquire(timeout=PATIENCE_S)
         prepare.gate.clear()
         reload = served.begin_set(image_size=320)
@@ -211,108 +203,24 @@ def test_configure_says_what_a_bond_needs_where_its_messages_are_missing(
     check_bond(0.0)
 
 
-# One side alone, with a clock of the test's
-
-
-class OneSide:
-    """A node with a bond of 4 s, what it sends, and what is sent to it in the manager's name."""
-
-    def __init__(self, observer: Observer, capture: pytest.CaptureFixture[str]) -> None:
-        self.now_s = 100.0
-        self.heard: list[Status] = []
-        self._observer = observer
-        self._capture = capture
-        self._log = ""
-        observer.create_subscription(Status, "/bond", self._take, 100)
-        self._publisher = observer.create_publisher(Status, "/bond", 5)
-        self.bond = self.another(4.0)
-
-    def another(self, timeout_s: float) -> Bond:
-        return Bond(self._observer, timeout_s, clock=lambda: self.now_s)
-
-    def send(self, *, is_active: bool, node_name: str = "yolov5") -> None:
-        self._observer.wait_for(lambda: self._publisher.get_subscription_count() == 2, "both subscriptions")
-        self._publisher.publish(Status(id=node_name, instance_id="manager", active=is_active))
-
-    def wait_for_more(self, count: int = 3) -> None:
-        wanted = len(self.heard) + count
-        self._observer.wait_for(lambda: len(self.heard) >= wanted, "heartbeats")
-
-    def wait_for_log(self, text: str, *, count: int = 1) -> None:
-        """Wait until the node has said `text` so many times."""
-
-        def is_said() -> bool:
-            self._log += self._capture.readouterr().err
-            return self._log.count(text) == count
-
-        self._observer.wait_for(is_said, f"{text!r} in the log")
-
-    def wait_for_silence(self) -> None:
-        """Wait until no heartbeat comes in the time of several; some may still be on their way."""
-
-        def is_silent() -> bool:
-            before = len(self.heard)
-            self._observer.work_for(0.5)
-            return len(self.heard) == before
-
-        self._observer.wait_for(is_silent, "the end of the heartbeats")
-
-    def _take(self, message: Status) -> None:
-        if message.instance_id != "manager":
-            self.heard.append(message)
-
-
-@pytest.fixture
-def side(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[OneSide]:
-    with closing(Observer("yolov5", domain=ros_domain)) as observer:
-        side = OneSide(observer, capfd)
-        yield side
-        side.bond.close()
-
-
-def test_heartbeats_end_when_no_manager_joins_in_time(side: OneSide) -> None:
-    assert CONNECT_S == Constants.DEFAULT_CONNECT_TIMEOUT
-    side.send(is_active=True, node_name="amcl")
-    side.send(is_active=False, node_name="amcl")
-    side.now_s += CONNECT_S
-    side.wait_for_more()
-    assert all(message.active for message in side.heard)
-    side.now_s += 0.1
-    side.wait_for_log("no lifecycle manager joined the bond within 10 s; detection continues")
-    side.wait_for_silence()
-
-
-def test_the_end_of_the_bond_by_the_manager_is_acknowledged_and_ends_the_heartbeats(side: OneSide) -> None:
-    side.send(is_active=True)
-    side.wait_for_log("bonded with the lifecycle manager")
-    side.send(is_active=False)
-    side.wait_for_log("the lifecycle manager ended the bond; detection continues")
-    side.send(is_active=True)
-    side.wait_for_silence()
-    assert [message.active for message in side.heard].count(False) == 1
-    assert not side.heard[-1].active
-
-
-def test_a_silent_manager_is_logged_once_and_the_heartbeats_go_on(side: OneSide) -> None:
-    side.send(is_active=True)
-    side.wait_for_log("bonded with the lifecycle manager")
-    side.now_s += 4.1
-    side.wait_for_log("no heartbeat from the lifecycle manager for 4 s; detection continues")
-    side.wait_for_more()
-    side.send(is_active=True)
-    side.wait_for_log("bonded with the lifecycle manager", count=2)
-    side.wait_for_log("no heartbeat from the lifecycle manager", count=1)
-    assert all(message.active for message in side.heard)
-
-
 @pytest.mark.parametrize(("timeout_s", "period_s"), [(60.0, 0.1), (0.2, 0.05), (0.001, 0.01)])
-def test_several_heartbeats_of_another_bond_come_within_its_timeout(
-    side: OneSide, timeout_s: float, period_s: float
+def test_several_heartbeats_come_within_the_timeout_and_the_last_ends_the_bond(
+    ros_domain: int, timeout_s: float, period_s: float
 ) -> None:
-    side.wait_for_more(1)
-    side.bond.close()
-    side.bond = side.another(timeout_s)
-    side.wait_for_more()
-    assert side.heard[-1].instance_id != side.heard[0].instance_id
-    assert side.heard[-1].heartbeat_timeout == pytest.approx(timeout_s)
-    assert side.heard[-1].heartbeat_period == pytest.approx(period_s)
+    heard: list[Status] = []
+
+    def begin_and_end() -> None:
+        wanted = len(heard) + 3
+        with closing(Bond(observer, timeout_s)):
+            observer.wait_for(lambda: len(heard) >= wanted, "heartbeats")
+        observer.wait_for(lambda: not heard[-1].active, "the end of the bond")
+
+    with closing(Observer("yolov5", domain=ros_domain)) as observer:
+        observer.create_subscription(Status, "/bond", heard.append, 100)
+        begin_and_end()
+        begin_and_end()
+    assert [message.active for message in heard].count(False) == 2
+    assert len({message.instance_id for message in heard}) == 2
+    assert heard[-1].id == "yolov5"
+    assert heard[-1].heartbeat_timeout == pytest.approx(timeout_s)
+    assert heard[-1].heartbeat_period == pytest.approx(period_s)

@@ -90,10 +90,10 @@ def test_hostile_messages_are_rejected_with_the_reason_and_those_before_them_sta
         for name, value in changes.items():
             setattr(message, name, value)
         depth.take_image(message)
-        assert why in depth.status().recently_rejected
+        assert why in depth.rejection
     for why, changes in HOSTILE_CAMERA_INFOS.items():
         depth.take_camera_info(camera_info_message(1.0, **changes))
-        assert why in depth.status().recently_rejected
+        assert why in depth.rejection
     assert counted(depth) == {
         "depth images received": len(HOSTILE_DEPTHS) + 1,
         "depth images rejected": len(HOSTILE_DEPTHS),

@@ -27,14 +27,18 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.ros import messages
-from yolov5_lifecycle.ros.detector import outputs, pipeline
+from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.detector.depth import DepthInput
-from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S, abandoned
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 
 REST_S = 1.0
 """How long these nodes wait for a frame."""
+ABANDONED = (
+    f"inference did not end within {REST_S:g} s, so the node abandons the thread; the thread's memory stays "
+    "in use"
+)
 
 
 class Hang:
@@ -81,7 +85,7 @@ STEPS: dict[str, tuple[Any, str]] = {
     "placing": (DepthInput, "place"),
     "masks": (Masks, "label_image"),
     "drawing": (pipeline, "annotate"),
-    "compressing": (outputs, "compressed_image_message"),
+    "compressing": (messages, "compressed_image_message"),
     "publishing": (LifecyclePublisher, "publish"),
 }
 """Where each step of a frame is: the owner of a function, and its name."""
@@ -124,8 +128,8 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
         assert not deactivated.done(), "the node answered only after it waited for the frame"
         served.wait_for(deactivated.done, "the answer to deactivate")
         assert deactivated.result().success
-        assert served.status().message == abandoned(REST_S)
-        served.wait_for_log(abandoned(REST_S))
+        assert served.status().message == ABANDONED
+        served.wait_for_log(ABANDONED)
         assert served.counts()["pending"] == 0
         hang.end()
         assert served.transition("activate")

@@ -101,7 +101,7 @@ def test_another_image_transport_starts_afresh(tracking: ServedNode) -> None:
 
 def test_a_stamp_that_goes_back_starts_afresh(tracking: ServedNode) -> None:
     assert ids_at(tracking, 10, 11, 5, 6) == ["", "1", "", "2"]
-    tracking.wait_for_log("the stamps of the images went back by 6.0 s: tracking begins anew")
+    tracking.wait_for_log("the stamps of the images went back by 6.0 s: tracking begins again")
     tracking.values()
     assert sum("went back" in said for said in tracking.log) == 1
 

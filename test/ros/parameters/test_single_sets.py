@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from support.preparations import Preparations
 
 from yolov5_lifecycle.ros.detector.node import DetectorNode
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
+from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import validated
 

@@ -32,7 +32,7 @@ from yolov5_lifecycle.ros.console.views import (
     class_names_of,
 )
 from yolov5_lifecycle.ros.services import MAX_ITEMS
-from yolov5_lifecycle.settings.camera_names import NODE_STATUS, usable_names
+from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS, usable_names
 
 SILENCE_S = 5.0
 """A detector that sends no diagnostics (usually one per second) for longer than this is gone."""

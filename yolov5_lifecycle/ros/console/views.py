@@ -12,7 +12,7 @@ from rcl_interfaces.msg import Log
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS
+from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS, NODE_STATUS
 
 LOSSES = ("frames lost", "frames overtaken")
 """Images that were sent but not received, so not part of the balance."""

@@ -64,7 +64,7 @@ class TopicStatus:
     never match. `missing_s`: seconds without a publisher of the right type.
     `similar`: other topics with images, searched only while this topic has no such publisher. `sent_as`: the
     one that has the images of this camera in another form, "" if there is none. `remedy`: what to type to
-    receive that one, else the first of `similar`. `problem`: why subscribing failed, "" if it did not.
+    receive that one, else the first of `similar`.
     """
 
     name: str
@@ -74,7 +74,6 @@ class TopicStatus:
     similar: tuple[str, ...] = ()
     sent_as: str = ""
     remedy: str = ""
-    problem: str = ""
 
     @property
     def publishers(self) -> int:

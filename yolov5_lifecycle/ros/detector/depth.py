@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.image import ImageError
-from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus, depth_topics
+from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, depth_topics
 from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.spatial.depth_image import (
@@ -52,52 +52,7 @@ RECENT_S = 2.0
 """A rejection or failure is reported in diagnostics for this long."""
 UNPLACED_S = 2.0
 """Images without depth for longer than this are reported."""
-
-
-@dataclass(frozen=True)
-class DepthStatus:
-    """Snapshot of depth, while the setting `depth` is true and the node active.
-
-    `image` and `camera_info` are None while nobody needs depth (lazy). `recently_rejected`: why the last
-    depth image or camera_info was rejected, "" if that was long ago.
-    """
-
-    image: TopicStatus | None
-    camera_info: TopicStatus | None
-    counts: Mapping[str, int]
-    run: RunWithoutDepth | None
-    recently_rejected: str
-
-    @property
-    def hint(self) -> str:
-        """Why nothing is published on ~/detections_3d, "" if there is no reason."""
-        for source, what in ((self.image, "depth images"), (self.camera_info, "its camera_info")):
-            if source is None:
-                return ""
-            if source.problem:
-                return f"{source.problem}: detections have no place in space"
-            if source.publishers == 0 and source.missing_s > DISCOVERY_S:
-                where, remedy = "", "start the depth camera, remap the topic or set depth to false"
-                if source.sent_as:
-                    where, remedy = f" (but in another form on {source.sent_as})", source.remedy
-                return (
-                    f"no publisher of {what} on {source.name}{where}: detections have no place in space; "
-                    f"{remedy}"
-                )
-        if self.recently_rejected:
-            return f"detections have no place in space: {self.recently_rejected}"
-        if self.run is not None and self.run.ended_s - self.run.begun_s > UNPLACED_S:
-            return f"detections have no place in space: {self.run.reason}"
-        return ""
-
-    def values(self) -> dict[str, str]:
-        """All values as strings, for diagnostics."""
-        values = {}
-        if self.image is not None and self.camera_info is not None:
-            values["depth topic"] = self.image.name
-            values["depth publishers"] = str(self.image.publishers)
-            values["camera_info publishers"] = str(self.camera_info.publishers)
-        return values | {name: str(count) for name, count in self.counts.items()}
+_NO_PLACE = "detections have no place in space"
 
 
 _QUEUE = 2
@@ -136,7 +91,8 @@ class DepthInput:
         self.counts = dict.fromkeys((*_COUNTED, *_UNPLACED.values()), 0)
         """By their names in diagnostics; each number is written by one thread only."""
         self.run: RunWithoutDepth | None = None
-        self._rejection, self._rejected_s = "", float("-inf")
+        self.rejection, self.rejected_s = "", float("-inf")
+        """Why the last depth image or camera_info was rejected, and when."""
 
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
@@ -159,16 +115,36 @@ class DepthInput:
         for subscription in self._subscriptions:
             subscription.follow()
 
-    def status(self) -> DepthStatus:
-        image, camera_info = [each.status() for each in self._subscriptions] or (None, None)
-        is_recent = self.clock() - self._rejected_s < RECENT_S
-        return DepthStatus(
-            image=image,
-            camera_info=camera_info,
-            counts=self.counts,
-            run=self.run,
-            recently_rejected=self._rejection if is_recent else "",
-        )
+    @property
+    def hint(self) -> str:
+        """Why nothing is published on ~/detections_3d; "" if there is no reason, or while nobody needs it."""
+        for subscription, what in zip(self._subscriptions, ("depth images", "its camera_info"), strict=False):
+            if subscription.problem:
+                return f"{subscription.problem}: {_NO_PLACE}"
+            source = subscription.topic.look()
+            if source.publishers == 0 and source.missing_s > DISCOVERY_S:
+                where, remedy = "", "start the depth camera, remap the topic or set depth to false"
+                if source.sent_as:
+                    where, remedy = f" (but in another form on {source.sent_as})", source.remedy
+                return f"no publisher of {what} on {source.name}{where}: {_NO_PLACE}; {remedy}"
+        if not self._subscriptions:
+            return ""
+        if self.clock() - self.rejected_s < RECENT_S:
+            return f"{_NO_PLACE}: {self.rejection}"
+        run = self.run
+        if run is not None and run.ended_s - run.begun_s > UNPLACED_S:
+            return f"{_NO_PLACE}: {run.reason}"
+        return ""
+
+    def values(self) -> dict[str, str]:
+        """All values as strings, for diagnostics."""
+        values = {}
+        if self._subscriptions:
+            image, camera_info = (each.topic.look() for each in self._subscriptions)
+            values["depth topic"] = image.name
+            values["depth publishers"] = str(image.publishers)
+            values["camera_info publishers"] = str(camera_info.publishers)
+        return values | {name: str(count) for name, count in self.counts.items()}
 
     def take_image(self, message: Image) -> None:
         """Keep a depth image, without a copy; reject one that cannot be read."""
@@ -218,7 +194,7 @@ class DepthInput:
 
     def _reject(self, count: str, why: str) -> None:
         self.counts[count] += 1
-        self._rejection, self._rejected_s = why, self.clock()
+        self.rejection, self.rejected_s = why, self.clock()
         self.node.get_logger().warning(why, throttle_duration_sec=5.0)
 
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:

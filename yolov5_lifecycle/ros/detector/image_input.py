@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import Any, Literal, TypeVar
 
@@ -16,9 +16,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.detector.camera_topic import CameraTopic, TopicStatus
-from yolov5_lifecycle.ros.qos_overrides import overridden_reliability, overriding_options
-from yolov5_lifecycle.ros.topics import endpoint_name
+from yolov5_lifecycle.ros.detector.camera_topic import CameraTopic
+from yolov5_lifecycle.ros.topics import endpoint_name, overridden_reliability, overriding_options
 
 Policy = TypeVar("Policy", ReliabilityPolicy, DurabilityPolicy)
 Reliability = Literal["auto", "best_effort", "reliable"]
@@ -40,7 +39,7 @@ class Subscription:
     `takes_latched` the durability follows the publishers as well, so that messages latched earlier are
     received; without, it is volatile.
 
-    If the subscription cannot be created, this is logged and stays in the status, with `consequence` at its
+    If the subscription cannot be created, this is logged and stays in `problem`, with `consequence` at its
     end; every `follow` retries.
     """
 
@@ -68,10 +67,6 @@ class Subscription:
             self.close()
             self.qos = wanted
             self._subscribe()
-
-    def status(self) -> TopicStatus:
-        """That of the topic, with the problem of the subscription."""
-        return replace(self.topic.look(), problem=self.problem)
 
     def close(self) -> None:
         """Receive no more messages until the next `follow`."""
@@ -119,21 +114,6 @@ class ReceivedFrame:
 
     message: Image | CompressedImage
     received_s: float
-
-
-@dataclass(frozen=True)
-class InputStatus:
-    """QoS reliability, time since the last image in seconds, and the max size of an image, in bytes.
-
-    `received` and `lost` are the images of the last `window_s` seconds.
-    """
-
-    reliability: ReliabilityPolicy
-    silent_s: float
-    window_s: float
-    received: int
-    lost: int
-    max_bytes: int
 
 
 class ImageLosses:
@@ -218,7 +198,8 @@ class ImageInput:
         self._subscription: Subscription | None = None
         self._reliability: Reliability = "auto"
         self._last_frame_s = 0.0
-        self._received = self._max_bytes = 0
+        self._received = self.max_bytes = 0
+        """Images, and the max size of one in bytes, since the subscription to the topic."""
         self._samples: deque[tuple[float, int, int]] = deque()
         """Time in s, images received, images lost: one per call of `update` within the window."""
 
@@ -251,24 +232,25 @@ class ImageInput:
         while len(self._samples) > 2 and now_s - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
 
-    def status(self) -> InputStatus | None:
-        """None without a subscription."""
-        if self._subscription is None or self.problem:
-            return None
+    @property
+    def reliability(self) -> ReliabilityPolicy | None:
+        """That of the subscription, None without one."""
+        return self._subscription.qos.reliability if self._subscription and not self.problem else None
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the last image, or since the subscription."""
+        return time.monotonic() - self._last_frame_s
+
+    def recent(self) -> tuple[int, int, float]:
+        """Images received and lost in the last seconds, and how many seconds these are."""
         begun_s, received, lost = self._samples[0]
         ended_s, last_received, last_lost = self._samples[-1]
-        return InputStatus(
-            reliability=self._subscription.qos.reliability,
-            silent_s=time.monotonic() - self._last_frame_s,
-            window_s=ended_s - begun_s,
-            received=last_received - received,
-            lost=last_lost - lost,
-            max_bytes=self._max_bytes,
-        )
+        return last_received - received, last_lost - lost, ended_s - begun_s
 
     def _subscribe(self, topic: CameraTopic) -> None:
         self._last_frame_s = time.monotonic()
-        self._received = self._max_bytes = 0
+        self._received = self.max_bytes = 0
         self._samples.clear()
         self._subscription = Subscription(
             topic,
@@ -295,5 +277,5 @@ class ImageInput:
         self.losses.take(info["publication_sequence_number"], info["received_timestamp"])
         self._last_frame_s = time.monotonic()
         self._received += 1
-        self._max_bytes = max(self._max_bytes, len(message.data))
+        self.max_bytes = max(self.max_bytes, len(message.data))
         self._on_frame(ReceivedFrame(message, self._last_frame_s))

@@ -4,31 +4,74 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.node import Node
+from rclpy.task import Future as RosFuture
 from std_srvs.srv import Trigger
 
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.collecting.collector import Collector
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.process.memory import resident_mb
-from yolov5_lifecycle.ros.detector.background import Background
-from yolov5_lifecycle.ros.detector.diagnostics import Status
-from yolov5_lifecycle.ros.detector.outputs import Outputs, label_info_publisher
+from yolov5_lifecycle.ros.detector.diagnostics import CameraStatus, Status
+from yolov5_lifecycle.ros.detector.pipeline import Outputs, label_info_publisher
 from yolov5_lifecycle.ros.detector.session import DetectorCamera, Preparation, Session
 from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
-from yolov5_lifecycle.ros.topics import impossible_names
+from yolov5_lifecycle.ros.topics import topic_problems
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.inference_threads import InferenceThreads
 
 _CLOSE_TIMEOUT_S = 3.0
+Result = TypeVar("Result")
+
+
+def resume(node: Node, waiting: RosFuture, result: object = None) -> None:
+    """Resume the callback of `node` that awaits `waiting`, with `result`."""
+    waiting.set_result(result)
+    if (executor := node.executor) is not None:
+        executor.wake()  # before rclpy 7.1.8, set_result does not (ros2/rclpy#1374)
+
+
+class Background:
+    """One thread, called `name`, that runs tasks in FIFO order while the executor of `node` keeps serving
+    callbacks.
+    """
+
+    def __init__(self, node: Node, name: str = "background") -> None:
+        self._node = node
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=name)
+        # The pool starts its thread with the first task; later the node's number of threads stays constant.
+        self._thread.submit(lambda: None)
+        self._unfinished: set[Future[Any]] = set()
+
+    def submit(self, work: Callable[[], Result]) -> Future[Result]:
+        """Queue `work`; the future receives its result or exception."""
+        future = self._thread.submit(work)
+        self._unfinished.add(future)
+        future.add_done_callback(self._unfinished.discard)
+        return future
+
+    async def finish(self, future: Future[Result]) -> Future[Result]:
+        """Await `future` inside an executor callback, then return it."""
+        done = RosFuture(executor=self._node.executor)
+        future.add_done_callback(lambda _: resume(self._node, done))
+        await done
+        return future
+
+    def close(self) -> bool:
+        """Cancel queued tasks without waiting; return False if one is still running and continues."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+        return not self._unfinished
 
 
 @dataclass(eq=False)
@@ -69,7 +112,7 @@ class ManagedResources:
         self._make_cameras()
         for camera in self._cameras.values():
             camera.outputs = Outputs(
-                self.node, camera=camera.name, on_subscribers_changed=self._follow_subscribers
+                self.node, camera=camera.name, on_subscribers_changed=camera.follow_subscribers
             )
 
     async def load(self) -> bool:
@@ -166,7 +209,9 @@ class ManagedResources:
     def release(self) -> None:
         """Destroy the publishers; call after `deactivate`."""
         for camera in self._cameras.values():
-            camera.release()
+            if camera.outputs is not None:
+                camera.outputs.close()
+                camera.outputs = None
         if self._label_info is not None:
             # destroy_publisher would leave it in the list of managed entities.
             self.node.destroy_lifecycle_publisher(self._label_info)
@@ -198,10 +243,13 @@ class ManagedResources:
 
     def update(self) -> None:
         """Adapt cameras and subscriptions to parameters and to the ROS graph."""
-        if self._label_info is None and not impossible_names(self.node, self._names()):
-            self._make_cameras()  # `configure` refuses impossible names
+        if self._label_info is None and not topic_problems(self.node, self._names()):
+            self._make_cameras()  # `configure` refuses them
         for name, camera in self._cameras.items():
-            camera.update(self.parameters.value_for(name, "image_transport"))
+            if camera.active is not None:
+                camera.active.update()
+            else:
+                camera.use(self.parameters.value_for(name, "image_transport"))
 
     def status(self, state: str, problem: str) -> Status:
         """Snapshot of the node in the lifecycle state `state`, with the last `problem` that was reported."""
@@ -210,7 +258,7 @@ class ManagedResources:
             problem=problem,
             settings=self.parameters.settings() if self._label_info else None,
             model=self.session.model if self.session else None,
-            cameras=tuple(camera.status() for camera in self._cameras.values()),
+            cameras=tuple(CameraStatus(camera, camera.topic.look()) for camera in self._cameras.values()),
             abandoned_threads=self.hanging_threads,
             resident_mb=resident_mb(),
             collected=self._collector.status if self._collector else None,
@@ -222,20 +270,20 @@ class ManagedResources:
         if self._collector is None:
             response.message = "there is no folder: restart the node with collect_dir set to one"
             return response
-        asked = [camera for camera in self._cameras.values() if camera.collect_next()]
+        asked = []
+        for name, camera in self._cameras.items():
+            if camera.active is not None and camera.active.collecting is not None:
+                camera.active.collecting.request()
+                asked.append(name)
         if problem := self._collector.status.problem:
             response.message = f"no image was kept at the last attempt: {problem}"
         elif not asked:
             response.message = "no camera collects: activate the node, and set collect to true"
         else:
-            names = ", ".join(camera.name for camera in asked if camera.name)
+            names = ", ".join(filter(None, asked))
             response.success = True
             response.message = f"the next image{f' of {names}' if names else ''} is kept"
         return response
-
-    def _follow_subscribers(self) -> None:
-        if self.session is not None:
-            self.session.follow_subscribers()
 
     def _prepare(self, settings: Settings) -> Preparation:
         """Queue the preparation of the model, warmed up with the size of each camera's last image."""

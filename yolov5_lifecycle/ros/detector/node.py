@@ -16,15 +16,9 @@ from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
-from yolov5_lifecycle.ros.detector.session import (
-    MAX_ABANDONED_SESSIONS,
-    REFUSALS,
-    REST_TIMEOUT_S,
-    abandoned,
-)
+from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REFUSALS, REST_TIMEOUT_S
 from yolov5_lifecycle.ros.nodes import PrintableNode
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
-from yolov5_lifecycle.ros.qos_overrides import qos_problems, reliability_problems
 from yolov5_lifecycle.ros.rclpy_internals import (
     ForgettingGroup,
     available_transitions,
@@ -32,7 +26,7 @@ from yolov5_lifecycle.ros.rclpy_internals import (
     lifecycle_state,
 )
 from yolov5_lifecycle.ros.services import wrap_services
-from yolov5_lifecycle.ros.topics import impossible_names, remapping_problems
+from yolov5_lifecycle.ros.topics import qos_problems, reliability_problems, topic_problems
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.settings import validated
 
@@ -71,13 +65,6 @@ def requested_label(wanted: Any, possible: Sequence[tuple[Any, ...]]) -> str | N
     """
     column, value = (1, wanted.label) if wanted.label else (0, wanted.id)
     return next((str(row[1]) for row in possible if row[column] == value), None)
-
-
-def refused_transition(wanted: Any, possible: Sequence[tuple[Any, ...]], state: str) -> str:
-    """Explain why `wanted` is refused in `state`, and list the possible transitions."""
-    asked = in_one_line(wanted.label[:100]) or wanted.id
-    names = ", ".join(f"{row[1]} ({row[0]})" for row in possible) or "none"
-    return f"transition '{asked}' refused in state {state}. Possible now: {names}."
 
 
 class DetectorNode(PrintableNode, LifecycleNode):
@@ -228,12 +215,11 @@ class DetectorNode(PrintableNode, LifecycleNode):
 
     def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
-        if problems := impossible_names(self, cameras):
+        problems = topic_problems(self, cameras)
+        if problems or self._is_qos_checked:  # the overrides are fixed, but their camera may be gone since
             return problems
         are_undecided = any(problem.setting == CAMERAS for problem in self._settings.problems)
-        # The overrides are fixed, but their camera may be gone since.
-        of_qos = [] if self._is_qos_checked else qos_problems(self, cameras, are_undecided=are_undecided)
-        return [*remapping_problems(self, cameras), *map(str, of_qos)]
+        return [str(problem) for problem in qos_problems(self, cameras, are_undecided=are_undecided)]
 
     def _status(self) -> Status:
         self._resources.update()
@@ -258,7 +244,10 @@ class DetectorNode(PrintableNode, LifecycleNode):
             bond.close()
         if self._resources.deactivate():
             return
-        self.report(abandoned(self._rest_timeout_s))
+        self.report(
+            f"inference did not end within {self._rest_timeout_s:g} s, so the node abandons the thread; the "
+            "thread's memory stays in use"
+        )
         count, most = self._resources.hanging_sessions, self._max_abandoned_sessions
         if count > most:
             told = f": inference hangs in {count} abandoned sessions, the limit is {most}"
@@ -268,8 +257,12 @@ class DetectorNode(PrintableNode, LifecycleNode):
         wanted, possible = request.transition, available_transitions(self)
         label = requested_label(wanted, possible)
         if label is None:
-            refusal = refused_transition(wanted, possible, self.state_label)
-            self.get_logger().warning(refusal, throttle_duration_sec=1.0)
+            asked = in_one_line(wanted.label[:100]) or wanted.id
+            names = ", ".join(f"{row[1]} ({row[0]})" for row in possible) or "none"
+            self.get_logger().warning(
+                f"transition '{asked}' refused in state {self.state_label}. Possible now: {names}.",
+                throttle_duration_sec=1.0,
+            )
         elif label == "activate":
             response.success = await self._resources.load() and self.trigger_activate() is SUCCESS
         else:

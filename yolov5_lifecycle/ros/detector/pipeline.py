@@ -1,11 +1,20 @@
-"""Path of one frame: image message in, result messages out."""
+"""Path of one frame: image message in, result messages out; publishers exist from configure to cleanup."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
+from vision_msgs.msg import Detection2DArray, Detection3DArray, LabelInfo
 
 from yolov5_lifecycle.collecting.candidate import Origin
 from yolov5_lifecycle.collecting.collector import CameraCollecting
@@ -14,11 +23,22 @@ from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
-from yolov5_lifecycle.ros.detector.outputs import Outputs
+from yolov5_lifecycle.ros.topics import (
+    COMPRESSED_IMAGE,
+    DETECTIONS,
+    DETECTIONS_3D,
+    IMAGE,
+    LABEL_INFO,
+    MASKS,
+    endpoint_name,
+    of_camera,
+    overriding_options,
+)
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.inference_threads import Send
 from yolov5_lifecycle.tracking.byte_tracker import TrackedDetection
@@ -151,3 +171,102 @@ class CameraPipeline:
                 box_filter=self.selection.box_filter,
             )
             yield from self.outputs.image_messages(ColourImage(drawn, result.image.order), header)
+
+
+def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
+    """Latched publisher of the class names, one for all cameras. Raises rclpy's exception."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    return _created(node, LabelInfo, LABEL_INFO, latched)
+
+
+@dataclass(eq=False)
+class Outputs:
+    """Owns the publishers of a camera's detections, masks and annotated images.
+
+    `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
+    leaves.
+
+    Raises rclpy's exception if a publisher cannot be created, after destroying the others.
+    """
+
+    node: LifecycleNode
+    _: KW_ONLY
+    camera: str = ""
+    on_subscribers_changed: Callable[[], None]
+
+    def __post_init__(self) -> None:
+        self._events = PublisherEventCallbacks(matched=lambda _: self.on_subscribers_changed())
+        self._publishers: list[LifecyclePublisher] = []
+        try:
+            self.detections = self._publisher(Detection2DArray, DETECTIONS, depth=10)
+            self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, depth=10)
+            self._masks = self._publisher(Image, MASKS, depth=1)
+            self._image = self._publisher(Image, IMAGE, depth=1)
+            self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, depth=1)
+        except Exception:
+            self.close()
+            raise
+
+    @property
+    def subscribers(self) -> int:
+        """Number of subscriptions that need inference with any model and settings."""
+        return int(self.detections.get_subscription_count()) + self.image_subscribers
+
+    @property
+    def subscribers_3d(self) -> int:
+        """Number of subscriptions to detections in space."""
+        return int(self.detections_3d.get_subscription_count())
+
+    @property
+    def mask_subscribers(self) -> int:
+        """Number of subscriptions to masks."""
+        return int(self._masks.get_subscription_count())
+
+    @property
+    def image_subscribers(self) -> int:
+        """Number of subscriptions that need annotated images."""
+        compressed = self._compressed_image.get_subscription_count()
+        return int(self._image.get_subscription_count() + compressed)
+
+    def masks_message(self, label_image: NDArray[np.uint16], header: Header) -> Send:
+        """A message with the detection that each pixel (H, W) belongs to; see `Detections.label_image`."""
+        return partial(self._masks.publish, messages.image_message(label_image, "16UC1", header))
+
+    def image_messages(self, image: ColourImage, header: Header) -> Iterator[Send]:
+        """Messages with an annotated image, raw and compressed, for each topic that has a subscriber."""
+        if self._image.get_subscription_count():
+            yield partial(
+                self._image.publish, messages.image_message(image.pixels, f"{image.order}8", header)
+            )
+        if self._compressed_image.get_subscription_count():
+            message = messages.compressed_image_message(encode_jpeg(image), f"{image.order}8", header)
+            yield partial(self._compressed_image.publish, message)
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        for publisher in self._publishers:
+            # destroy_publisher would leave it in the list of managed entities.
+            self.node.destroy_lifecycle_publisher(publisher)
+        self._publishers.clear()
+
+    def _publisher(self, message_type: type, topic: str, *, depth: int) -> LifecyclePublisher:
+        name = of_camera(topic, self.camera)
+        publisher = _created(self.node, message_type, name, QoSProfile(depth=depth), self._events)
+        self._publishers.append(publisher)
+        return publisher
+
+
+def _created(
+    node: LifecycleNode,
+    message_type: type,
+    topic: str,
+    qos: QoSProfile,
+    events: PublisherEventCallbacks | None = None,
+) -> LifecyclePublisher:
+    return node.create_lifecycle_publisher(
+        message_type,
+        endpoint_name(node, topic),
+        qos,
+        event_callbacks=events,
+        qos_overriding_options=overriding_options(node, topic, "publisher"),
+    )

@@ -13,12 +13,10 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.selection import model_problems
-from yolov5_lifecycle.ros.detector.background import resume
-from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
+from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources, resume
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused
 from yolov5_lifecycle.ros.services import Handler
-from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import Settings
 
 _AT_A_TIME = 10
@@ -51,7 +49,6 @@ class Reconfiguration:
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
         return {
-            "describe_parameters": self.parameters.describe,
             "set_parameters": self._set_one_by_one,
             "set_parameters_atomically": self._set_together,
         }
@@ -67,7 +64,7 @@ class Reconfiguration:
             result = await self._set(proposal)
             if not result.successful and len(asked) > 1:
                 whole = whole or self.parameters.propose(asked)
-                if not whole.problems and proposal.kind is not Change.RELOAD:
+                if not whole.problems and not proposal.needs_model:
                     result.reason += _TOGETHER
             response.results.append(result)
         return response
@@ -82,7 +79,7 @@ class Reconfiguration:
         if proposal.problems:
             return refused(*proposal.problems)
         session = self.resources.session
-        if session is not None and proposal.kind is Change.RELOAD:
+        if session is not None and proposal.needs_model:
             return await self._reload(session, proposal)
         return self._commit(proposal, session.preparation if session is not None else None)
 

@@ -6,10 +6,9 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
-from builtin_interfaces.msg import Time
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Header
 from vision_msgs.msg import LabelInfo, VisionClass
@@ -19,12 +18,10 @@ from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
-from yolov5_lifecycle.ros.detector.camera_status import CameraStatus
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
-from yolov5_lifecycle.ros.detector.outputs import Outputs
-from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage
+from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage, Outputs
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
@@ -40,14 +37,6 @@ REFUSALS = (ValueError, OSError, RuntimeError)
 """Exceptions of a preparation with a message for the user; any other is a bug."""
 MAX_ABANDONED_SESSIONS = 3
 """Each holds the memory of its model and images; beyond this limit, restart the process."""
-
-
-def abandoned(rest_timeout_s: float) -> str:
-    """What is reported when a frame hangs for longer than that."""
-    return (
-        f"inference did not end within {rest_timeout_s:g} s, so the node abandons the thread; the thread's "
-        "memory stays in use"
-    )
 
 
 @dataclass(eq=False)
@@ -74,43 +63,21 @@ class DetectorCamera:
     def __post_init__(self) -> None:
         self.topic = colour_topic(self.node, RAW, camera=self.name, cameras=self.cameras)
 
-    def collect_next(self) -> bool:
-        """Keep the next image; False if this camera collects none."""
-        if self.active is None or self.active.collecting is None:
-            return False
-        self.active.collecting.request()
-        return True
-
-    def release(self) -> None:
-        """Destroy the publishers; call when no frame is in progress."""
-        if self.outputs is not None:
-            self.outputs.close()
-            self.outputs = None
-
     def use(self, transport: Transport) -> None:
         """Expect images on the topic of `transport`."""
         if transport != self.topic.form:
             self.topic = colour_topic(self.node, transport, camera=self.name, cameras=self.cameras)
 
-    def update(self, transport: Transport) -> None:
-        """Adapt the subscriptions to subscribers and publishers; `transport` is the setting of the camera."""
-        if self.active is None:
-            self.use(transport)
-        else:
-            self.active.update()
+    def follow_subscribers(self) -> None:
+        """Adapt the subscriptions of an active camera to the subscribers of its outputs."""
+        if self.active is not None:
+            self.active.follow_subscribers()
 
-    def status(self) -> CameraStatus:
+    @property
+    def recent_failure(self) -> str:
+        """The last problem of its frames while it lasts, else ""."""
         problem, happened_s = self.last_problem
-        status = CameraStatus(
-            camera=self.name,
-            last_problem=problem,
-            recent_failure=problem if time.monotonic() - happened_s < RECENT_S else "",
-            balance=self.counter.balance(),
-            topic=self.topic.look(),
-            subscribers_3d=self.outputs.subscribers_3d if self.outputs else 0,
-            mask_subscribers=self.outputs.mask_subscribers if self.outputs else 0,
-        )
-        return self.active.completed(status) if self.active else status
+        return problem if time.monotonic() - happened_s < RECENT_S else ""
 
     def report(self, outcome: Outcome, error: Exception | None) -> None:
         """Handle the end of a frame, in the inference thread: log its problem, throttled."""
@@ -148,34 +115,26 @@ class ActiveCamera:
 
     def __post_init__(self) -> None:
         self._queue = CameraQueue(self.camera.counter, self.camera.report)
-        self._input = ImageInput(partial(self.session.threads.offer, self._queue))
-        self._depth: DepthInput | None = None
+        self.input = ImageInput(partial(self.session.threads.offer, self._queue))
+        self.depth: DepthInput | None = None
         self._stamps = StampCounts()
         self._told_jumps = 0
         self._tracking = self._new_tracking()
         self.collecting: CameraCollecting | None = None
         """None unless images that are worth a label are kept."""
-        self._latencies = LatencyWindow()
+        self.latencies = LatencyWindow()
         self._start()
 
-    def completed(self, status: CameraStatus) -> CameraStatus:
-        """`status` of the camera with what only an active one has."""
+    @property
+    def busy_s(self) -> float:
+        """Seconds that inference has spent on the current image."""
+        return self.session.threads.busy_s(self._queue)
+
+    @property
+    def collecting_problem(self) -> str:
+        """Why no images are kept although they should be, else ""."""
         collector = self.session.collector if self.collecting else None
-        return replace(
-            status,
-            settings=self.settings,
-            problem=self._input.problem,
-            input=self._input.status(),
-            lost=self._input.losses.lost,
-            dropped_in_queue=self._input.losses.dropped_in_queue,
-            latency=self._latencies.summary(time.monotonic()),
-            empty=self._empty_frames.run,
-            tracking=self._tracker_values(),
-            depth_status=self._depth.status() if self._depth else None,
-            segments=self.session.model.detector.segments,
-            busy_s=self.session.threads.busy_s(self._queue),
-            collecting_problem=collector.status.problem if collector else "",
-        )
+        return collector.status.problem if collector else ""
 
     def update(self) -> None:
         """Adapt the subscriptions to the subscribers of the outputs and to what the publishers offer.
@@ -184,9 +143,9 @@ class ActiveCamera:
         """
         self._tell_jumps()
         self.follow_subscribers()
-        self._input.update()
-        if self._depth is not None:
-            self._depth.update()
+        self.input.update()
+        if self.depth is not None:
+            self.depth.update()
 
     def apply(self, settings: Settings, *, is_other_model: bool) -> None:
         """Change to `settings` and the model of the session from the next frame on.
@@ -210,21 +169,21 @@ class ActiveCamera:
         subscribers_3d = outputs.subscribers_3d if self.settings.depth else 0
         mask_subscribers = outputs.mask_subscribers if self.session.model.detector.segments else 0
         is_needed = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
-        self._input.follow(self.camera.topic if is_needed else None, self.settings.image_reliability)
-        if self._depth is not None:
+        self.input.follow(self.camera.topic if is_needed else None, self.settings.image_reliability)
+        if self.depth is not None:
             viewers = subscribers_3d + outputs.image_subscribers
-            self._depth.follow(is_needed=not self.settings.lazy or viewers > 0)
+            self.depth.follow(is_needed=not self.settings.lazy or viewers > 0)
 
     def unsubscribe(self) -> None:
         """Receive no more images."""
-        self._input.follow(None, self.settings.image_reliability)
-        if self._depth is not None:
-            self._depth.follow(is_needed=False)
+        self.input.follow(None, self.settings.image_reliability)
+        if self.depth is not None:
+            self.depth.follow(is_needed=False)
 
     def _new_tracking(self) -> TrackedDetection | None:
         return TrackedDetection.started(self.settings, self.session.track_ids, self._stamps)
 
-    def _tracker_values(self) -> dict[str, str]:
+    def tracker_values(self) -> dict[str, str]:
         """For diagnostics: the tracker and its tracks after the last image; empty without one."""
         if self._tracking is None:
             return {}
@@ -244,7 +203,7 @@ class ActiveCamera:
         often = f" {jumps} times" if jumps > 1 else ""
         self.camera.node.get_logger().warning(
             f"{whose}the stamps of the images went back{often} by {self._stamps.last_jump_s:.1f} s: tracking "
-            "begins anew. This is right if a recording or the simulation began again; otherwise look for a "
+            "begins again. This is right if a recording or the simulation began again; otherwise look for a "
             "second publisher or a clock that was set"
         )
 
@@ -253,17 +212,17 @@ class ActiveCamera:
         model, settings = self.session.model, self.settings
         self.camera.use(settings.image_transport)
         selected = selection(settings, model.detector.class_names)
-        self._empty_frames = EmptyFrames()
+        self.empty_frames = EmptyFrames()
         self._follow_depth()
         self._follow_collecting(selected, model)
         pipeline = CameraPipeline(
             model=model,
             selection=selected,
             outputs=self.outputs,
-            latencies=self._latencies,
-            empty_frames=self._empty_frames,
+            latencies=self.latencies,
+            empty_frames=self.empty_frames,
             last_image=self.camera.last_image,
-            depth=self._depth,
+            depth=self.depth,
             tracking=self._tracking,
             collecting=self.collecting,
         )
@@ -289,12 +248,12 @@ class ActiveCamera:
     def _follow_depth(self) -> None:
         """Start or stop placing detections; restart if the slop changed."""
         slop_s = self.settings.depth_slop_s if self.settings.depth else None
-        if slop_s == (self._depth.slop_s if self._depth else None):
+        if slop_s == (self.depth.slop_s if self.depth else None):
             return
-        if self._depth is not None:
-            self._depth.follow(is_needed=False)
+        if self.depth is not None:
+            self.depth.follow(is_needed=False)
         node, camera = self.camera.node, self.camera.name
-        self._depth = None if slop_s is None else DepthInput(node, camera=camera, slop_s=slop_s)
+        self.depth = None if slop_s is None else DepthInput(node, camera=camera, slop_s=slop_s)
 
 
 @dataclass(eq=False)
@@ -345,10 +304,6 @@ class Session:
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
         self._publish_label_info(settings)
-        self.follow_subscribers()
-
-    def follow_subscribers(self) -> None:
-        """See `ActiveCamera.follow_subscribers`."""
         for camera in self.active.values():
             camera.follow_subscribers()
 
@@ -402,16 +357,12 @@ class Session:
         return model.weights_sha256 != before.weights_sha256 or not before.serves(model.settings)
 
     def _publish_label_info(self, settings: Settings) -> None:
-        stamp = self.node.get_clock().now().to_msg()
+        """The class names of the model, and the threshold of the node."""
+        names = self.model.detector.class_names
         self.label_info.publish(
-            label_info(self.model.detector.class_names, settings.confidence_threshold, stamp)
+            LabelInfo(
+                header=Header(stamp=self.node.get_clock().now().to_msg()),
+                class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(names)],
+                threshold=settings.confidence_threshold,
+            )
         )
-
-
-def label_info(class_names: Sequence[str], confidence_threshold: float, stamp: Time) -> LabelInfo:
-    """LabelInfo message with the class names of the loaded model and the threshold of the node."""
-    return LabelInfo(
-        header=Header(stamp=stamp),
-        class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(class_names)],
-        threshold=confidence_threshold,
-    )

@@ -8,7 +8,6 @@ from itertools import islice
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import DescribeParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -17,20 +16,17 @@ from yolov5_lifecycle.ros.parameters.declaration import (
     declare,
     declare_unset,
     parameter_of,
-    unset_descriptor,
     value_of,
 )
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
-from yolov5_lifecycle.settings.suggestion import MAX_SUGGESTIONS
+from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN
 from yolov5_lifecycle.settings.value_text import value_text
 
 Rule = Callable[[Settings], list[Problem]]
 Validate = Callable[[Mapping[str, object]], Settings]
 """See `validated`."""
-
-_BY_EFFORT = (Change.RELOAD, Change.RESUBSCRIBE, Change.LIVE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +60,10 @@ class Proposal:
     """Problems that the change adds and another one can solve: accepted while the node is unconfigured."""
 
     @property
-    def kind(self) -> Change | None:
-        """The most expensive kind of change; None if no setting changes or the settings are invalid."""
+    def needs_model(self) -> bool:
+        """Whether valid settings follow that need another model."""
         before, after = self.base.settings, self.after.settings
-        if before is None or after is None:
-            return None
-        return next((kind for kind in _BY_EFFORT if before.differing(after, kind)), None)
+        return before is not None and after is not None and bool(before.differing(after, Change.RELOAD))
 
 
 def refused(*reasons: Problem | str) -> SetParametersResult:
@@ -147,22 +141,6 @@ class SettingsParameters:
         own = f"{camera}{SEPARATOR}{name}"
         return self.value(own if self._node.has_parameter(own) else name)
 
-    def describe(self, request: DescribeParameters.Request, response: Any) -> Any:
-        """Response of the service `describe_parameters`; also describes overrides that are not set.
-
-        As with rclpy, it is empty if a name is unknown.
-        """
-        described = []
-        for name in request.names:
-            if self._node.has_parameter(name):
-                described.append(self._node.describe_parameter(name))
-            elif SCHEMA.is_known(name, self._current.values) and (setting := SCHEMA.find(name)):
-                described.append(unset_descriptor(setting))
-            else:
-                return response
-        response.descriptors = described
-        return response
-
     def propose(self, asked: Sequence[Parameter]) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing."""
         wanted = {parameter.name: value_of(parameter, SCHEMA.find(parameter.name)) for parameter in asked}
@@ -235,7 +213,7 @@ class SettingsParameters:
             if name not in changes or value is not None
         }
         unknown = (name for name in values if SCHEMA.find(name) is None)
-        corrected = [n for n in islice(unknown, MAX_SUGGESTIONS) if SCHEMA.meant(n, values) in changes]
+        corrected = [n for n in islice(unknown, MAX_UNKNOWN) if SCHEMA.meant(n, values) in changes]
         return self._configuration({name: value for name, value in values.items() if name not in corrected})
 
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
