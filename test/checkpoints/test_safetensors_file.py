@@ -77,25 +77,10 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["taken.safetensors"]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        pytest.param({VARIANCES: torch.zeros(9)}, "has the shape (9,), expected (8,)", id="shape"),
-        pytest.param({VARIANCES: torch.zeros(8, dtype=torch.int64)}, "holds torch.int64", id="integers"),
-        pytest.param(
-            {VARIANCES: torch.full((8,), 1e300, dtype=torch.float64)},
-            "not finite",
-            id="too large for float32",
-        ),
-    ],
-)
-def test_tensors_that_do_not_fit_are_refused(
-    change: dict[str, torch.Tensor], message: str, written: bytes
-) -> None:
-    data = save({**small_model().state_dict, **change}, metadata=parted(written)[0]["__metadata__"])
-    with pytest.raises(WeightsError) as refused:
-        read_safetensors(data)
-    assert message in str(refused.value)
+def test_numbers_that_are_too_large_for_float32_are_refused(written: bytes) -> None:
+    tensors = {**small_model().state_dict, VARIANCES: torch.full((8,), 1e300, dtype=torch.float64)}
+    with pytest.raises(WeightsError, match="not finite"):
+        read_safetensors(save(tensors, metadata=parted(written)[0]["__metadata__"]))
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16, torch.float16], ids=str)

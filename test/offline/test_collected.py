@@ -6,7 +6,6 @@ import base64
 import os
 import re
 import shutil
-import subprocess
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
@@ -27,7 +26,6 @@ from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.collected import command
 from yolov5_lifecycle.offline.collected.command import main, validation_sessions
-from yolov5_lifecycle.ros.child_process import entry_point
 
 QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
 
@@ -64,16 +62,6 @@ def test_what_is_there_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[
         "reason         3  class",
         "class          3  cat",
     ]
-
-
-@pytest.mark.end_to_end
-def test_the_command_shows_what_is_there_as_a_process(tmp_path: Path) -> None:
-    folder = collected(tmp_path / "robot", 2)
-    ended = subprocess.run(
-        [entry_point("collected"), "show", folder], capture_output=True, text=True, check=False
-    )
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout.startswith("images         2\n")
 
 
 def test_the_sheet_is_one_page_with_every_image_and_its_reason(tmp_path: Path) -> None:

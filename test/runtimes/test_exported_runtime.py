@@ -22,7 +22,6 @@ from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.head import Segment
-from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
 from yolov5_lifecycle.runtimes.registry import load_export
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
@@ -145,24 +144,6 @@ def test_boxes_and_scores_of_another_meaning_are_told(
     runtime = load_export(export, runtime_name, device="cpu", precision="auto")
     with pytest.raises(InferenceError, match="expected boxes of positive size and scores from 0 to 1"):
         runtime(frame(), "rgb", -9.0)
-
-
-def test_loading_and_running_leave_denormal_numbers_to_the_thread(runtime_name: str) -> None:
-    loaded(runtime_name)(frame(), "rgb")
-    assert not are_zero()
-
-
-def test_lanes_predict_the_same_until_they_are_closed(runtime_name: str) -> None:
-    runtime = loaded(runtime_name)
-    expected = runtime(frame(), "rgb").rows
-    others = runtime.lanes(2, 1)
-    runtime.close()
-    for other in others:
-        np.testing.assert_allclose(other(frame(), "rgb").rows, expected, atol=1e-6)
-        other.close()
-    for use in (lambda: runtime(frame(), "rgb"), lambda: runtime.lanes(2, 1)):
-        with pytest.raises(InferenceError, match="closed"):
-            use()
 
 
 def test_a_graph_that_the_engine_cannot_run_is_told(runtime_name: str) -> None:

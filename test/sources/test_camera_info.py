@@ -28,16 +28,6 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
     assert known.projection_matrix.data[5] == 393.66
 
 
-def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    marker = tmp_path / "share" / "ament_index" / "resource_index" / "packages" / "my_robot"
-    marker.parent.mkdir(parents=True)
-    marker.touch()
-    (tmp_path / "share" / "my_robot").mkdir()
-    path.rename(tmp_path / "share" / "my_robot" / "lens.yaml")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    assert read_camera_info("package://my_robot/lens.yaml").size_hw == (480, 640)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("old", "new", "told"),
