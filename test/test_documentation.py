@@ -17,7 +17,6 @@ from support.pages import (
     MIGRATION,
     PAGES,
     README,
-    TOPICS,
     blocks,
     table,
     typed,
@@ -119,13 +118,6 @@ def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
     with pytest.raises(ValueError, match="circel") as refused:
         class_ids(["circel"], CLASS_NAMES)
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
-
-
-def test_a_name_that_replaces_that_of_another_node_exists() -> None:
-    nodes = re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE)
-    cells = [row[1] for node in nodes for row in table(MIGRATION, node)]
-    named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
-    assert named <= {setting.name for setting in SETTINGS} | TOPICS | {"yolov5"}
 
 
 def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() -> None:

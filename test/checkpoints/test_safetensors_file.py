@@ -77,9 +77,18 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["taken.safetensors"]
 
 
-def test_numbers_that_are_too_large_for_float32_are_refused(written: bytes) -> None:
-    tensors = {**small_model().state_dict, VARIANCES: torch.full((8,), 1e300, dtype=torch.float64)}
-    with pytest.raises(WeightsError, match="not finite"):
+@pytest.mark.parametrize(
+    ("variances", "message"),
+    [
+        pytest.param(torch.zeros(8, dtype=torch.int64), "holds torch.int64", id="integers"),
+        pytest.param(torch.full((8,), 1e300, dtype=torch.float64), "not finite", id="too large for float32"),
+    ],
+)
+def test_numbers_that_are_no_float32_are_refused(
+    variances: torch.Tensor, message: str, written: bytes
+) -> None:
+    tensors = {**small_model().state_dict, VARIANCES: variances}
+    with pytest.raises(WeightsError, match=message):
         read_safetensors(save(tensors, metadata=parted(written)[0]["__metadata__"]))
 
 

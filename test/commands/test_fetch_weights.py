@@ -203,6 +203,11 @@ def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
     assert server.requests == []
 
 
+def test_a_model_that_there_is_not_is_refused() -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["n6-seg"])
+
+
 @pytest.mark.end_to_end
 def test_the_command_resumes_what_was_cut_and_ends_with_a_file_that_the_detector_finds(
     folder: Path, checkpoint: bytes, digest: str

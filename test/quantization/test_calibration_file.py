@@ -68,3 +68,10 @@ def test_a_file_that_holds_no_calibration_is_refused(
         read_calibration(path)
     assert str(refusal.value).isprintable()
     assert len(str(refusal.value)) < 300
+
+
+def test_a_link_to_itself_is_no_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "best.calibration.json"
+    path.symlink_to(path)
+    with pytest.raises(QuantizationError, match="not a usable calibration: it cannot be read"):
+        read_calibration(path)

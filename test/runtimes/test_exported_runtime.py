@@ -22,6 +22,7 @@ from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.head import Segment
+from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
 from yolov5_lifecycle.runtimes.registry import load_export
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
@@ -144,6 +145,11 @@ def test_boxes_and_scores_of_another_meaning_are_told(
     runtime = load_export(export, runtime_name, device="cpu", precision="auto")
     with pytest.raises(InferenceError, match="expected boxes of positive size and scores from 0 to 1"):
         runtime(frame(), "rgb", -9.0)
+
+
+def test_loading_and_running_leave_denormal_numbers_to_the_thread(runtime_name: str) -> None:
+    loaded(runtime_name)(frame(), "rgb")
+    assert not are_zero()
 
 
 def test_a_graph_that_the_engine_cannot_run_is_told(runtime_name: str) -> None:

@@ -64,6 +64,7 @@ def test_wrong_values_are_refused_with_the_reason(path: Path, old: str, new: str
         pytest.param("file://lens.yaml", "expected file:///PATH", id="relative"),
         pytest.param("package://no_such/lens.yaml", "no package 'no_such'", id="package"),
         pytest.param("file:///no/such.yaml", "No such file", id="no file"),
+        pytest.param("package://yolov5_lifecycle/no.yaml", "/no.yaml: No such file", id="of a package"),
         pytest.param("file:///dev/zero", "expected a regular file", id="device"),
         pytest.param("file:///", "found a folder", id="folder"),
     ],
