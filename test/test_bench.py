@@ -6,7 +6,6 @@ import argparse
 import asyncio
 import dataclasses
 import json
-import os
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -25,7 +24,7 @@ from benchmark.bench import set_max_rate
 from benchmark.camera_fleet import LAYOUTS, Layout, active_fleet
 from benchmark.collected_errors import PLACES, SIZE_HW, USUAL, drive
 from benchmark.collecting import NOTHING_KEPT, OFF, ONE_A_SECOND
-from benchmark.contender import Task, contender, measure
+from benchmark.contender import Task, measure
 from benchmark.fairness import (
     equal_shares,
     others_rates,
@@ -117,12 +116,6 @@ def test_a_rival_that_does_not_run_is_left_out(tmp_path: Path, capsys: pytest.Ca
     taken_ms, _ = measure([unknown, EAGER], loads=(0,), turns=1, cache=tmp_path)
     assert taken_ms.keys() == {(EAGER, 0)}
     assert "left out: 'abacus' failed" in capsys.readouterr().err
-
-
-def test_a_contender_that_fails_is_named() -> None:
-    absent = dataclasses.replace(DETECTOR, name="runtime abacus")
-    with pytest.raises(RuntimeError, match="'runtime abacus' failed"), contender(absent, os.environ):
-        pass
 
 
 @pytest.mark.parametrize("name", RIVALS)

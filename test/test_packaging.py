@@ -78,13 +78,6 @@ def test_a_built_executable_runs_with_the_built_modules(workspace: Path) -> None
     assert "safetensors" in help_text
 
 
-def test_every_command_is_installed_and_its_function_exists() -> None:
-    for command in COMMANDS:
-        (entry,) = distribution(PACKAGE).entry_points.select(group="console_scripts", name=command)
-        assert callable(entry.load())
-        assert os.access(Path(sys.executable).with_name(command), os.X_OK)
-
-
 def test_activating_the_environment_leaves_no_path_of_another_ros() -> None:
     paths = dict.fromkeys(("PYTHONPATH", "LD_LIBRARY_PATH", "CMAKE_PREFIX_PATH"), "/elsewhere/ros/lib")
     activate = Path(sys.executable).with_name("activate")
@@ -106,13 +99,6 @@ def test_every_imported_package_is_declared() -> None:
     assert needed | TYPED_COMMANDS == ros | from_pip
     assert ros & from_pip == set()
     assert from_apt <= from_pip, "on a machine without ROS they come from pip"
-
-
-def test_only_the_folder_ros_and_the_launch_files_import_packages_of_ros() -> None:
-    files = (REPOSITORY / PACKAGE).rglob("*.py")
-    others = [file for file in files if "ros" not in file.relative_to(REPOSITORY).parts]
-    assert others
-    assert {name for file in others for name in imports(file)} & ros_packages() == set()
 
 
 def test_the_remedy_for_a_missing_module_names_what_is_declared() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from typing import Any
 
 import cv2
@@ -73,10 +72,8 @@ def test_text_without_an_address_with_secrets_stays(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["a://b:c", " a://", "'a://b:", "a" * 40 + "://", ' ! a="', "a://b:c @ "])
-def test_the_time_of_hostile_text_is_bounded(text: str) -> None:
-    begun_s = time.process_time()
-    without_secrets((text * 20_000)[:20_000])
-    assert time.process_time() - begun_s < 0.5
+def test_hostile_text_is_shown_before_a_cost_with_the_square_of_its_length_would_end(text: str) -> None:
+    assert without_secrets((text * 300_000)[:300_000])
 
 
 def test_a_line_of_an_error_and_a_wrong_value_have_no_secrets(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from yolov5_lifecycle.checkpoints.locate import find_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.settings.settings import Settings
 
 PACKAGED = "package://yolov5_lifecycle/weights"
 MODEL = "yolov5n.safetensors"
@@ -124,20 +124,19 @@ def test_a_tilde_in_a_folder_is_the_home_folder(root: Path, monkeypatch: pytest.
     assert "~/inside" in refusal("/no/such.pt", Path("~/inside"))
 
 
-@pytest.fixture
-def serve(ros_domain: int, root: Path) -> Callable[..., ServedNode]:
-    def serve(weights: str | Path, folders: str) -> ServedNode:
-        parameters = [f"weights:={weights}", f"weights_dirs:={folders}", "image_size:=64", "device:=cpu"]
-        return ServedNode(prepare_model, parameters=parameters)
+def test_a_packaged_model_may_be_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
+    packaged = Settings(weights=f"{PACKAGED}/shapes.safetensors", weights_dirs=(PACKAGED,), device="cpu")
+    prepare_model(packaged.model_copy(update={"runtime": "torch", "image_size": 64}), []).close()
+    with pytest.raises(WeightsError, match="does not lie in a folder"):
+        prepare_model(packaged.model_copy(update={"weights": f"{PACKAGED}/../README.md"}), [])
 
-    return serve
 
-
-def test_a_node_refuses_weights_from_outside_in_every_state(
-    serve: Callable[..., ServedNode], root: Path
-) -> None:
+@pytest.mark.usefixtures("ros_domain")
+def test_a_node_refuses_weights_from_outside_in_every_state(root: Path) -> None:
     inside, outside = root / "inside" / MODEL, root / "outside" / MODEL
-    with serve(outside, f"['{root}/inside']") as served:
+    parameters = [f"weights:={outside}", f"weights_dirs:=['{root}/inside']", "image_size:=64", "device:=cpu"]
+    with ServedNode(prepare_model, parameters=parameters) as served:
         assert not served.transition("configure")
         served.wait_for_log(f"configure refused: {outside}: it does not lie in a folder")
         assert served.set(weights=str(inside)) == (True, "")
@@ -157,25 +156,3 @@ def test_a_node_refuses_weights_from_outside_in_every_state(
         assert not served.set(weights_dirs=["/"])[0]
         assert served.get("weights_dirs") == [f"{root}/inside"]
     assert served.escaped == []
-
-
-@pytest.mark.long
-def test_a_packaged_model_may_be_allowed(
-    serve: Callable[..., ServedNode], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
-    with serve(f"{PACKAGED}/shapes.safetensors", f"['{PACKAGED}']") as served:
-        served.bring_to("active")
-        done, reason = served.set(weights=f"{PACKAGED}/../README.md")
-        assert not done
-        assert "does not lie in a folder" in reason
-
-
-def test_invalid_folders_fail_configure_until_the_process_is_restarted(
-    serve: Callable[..., ServedNode], root: Path
-) -> None:
-    with serve(root / "inside" / MODEL, "inside") as served:
-        assert not served.transition("configure")
-        served.wait_for_log("weights_dirs: 'inside' is not a list")
-        assert not served.set(weights_dirs=["/"])[0]
-        assert not served.transition("configure")

@@ -78,24 +78,18 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("variances", "message"),
     [
-        pytest.param({VARIANCES: torch.zeros(9)}, "has the shape (9,), expected (8,)", id="shape"),
-        pytest.param({VARIANCES: torch.zeros(8, dtype=torch.int64)}, "holds torch.int64", id="integers"),
-        pytest.param(
-            {VARIANCES: torch.full((8,), 1e300, dtype=torch.float64)},
-            "not finite",
-            id="too large for float32",
-        ),
+        pytest.param(torch.zeros(8, dtype=torch.int64), "holds torch.int64", id="integers"),
+        pytest.param(torch.full((8,), 1e300, dtype=torch.float64), "not finite", id="too large for float32"),
     ],
 )
-def test_tensors_that_do_not_fit_are_refused(
-    change: dict[str, torch.Tensor], message: str, written: bytes
+def test_numbers_that_are_no_float32_are_refused(
+    variances: torch.Tensor, message: str, written: bytes
 ) -> None:
-    data = save({**small_model().state_dict, **change}, metadata=parted(written)[0]["__metadata__"])
-    with pytest.raises(WeightsError) as refused:
-        read_safetensors(data)
-    assert message in str(refused.value)
+    tensors = {**small_model().state_dict, VARIANCES: variances}
+    with pytest.raises(WeightsError, match=message):
+        read_safetensors(save(tensors, metadata=parted(written)[0]["__metadata__"]))
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16, torch.float16], ids=str)

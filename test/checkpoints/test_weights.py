@@ -43,8 +43,6 @@ def refusal(path: Path, **options: str) -> str:
 @pytest.mark.parametrize(
     ("present", "chosen"),
     [
-        pytest.param(["yolov5s.pt"], "yolov5s.pt", id="only pt"),
-        pytest.param(["yolov5s.safetensors"], "yolov5s.safetensors", id="only safetensors"),
         pytest.param(["yolov5s.pt", "yolov5s.safetensors"], "yolov5s.safetensors", id="both"),
         pytest.param(["yolov5s.pt", "yolov5n.safetensors"], "yolov5s.pt", id="another size beside it"),
     ],

@@ -26,11 +26,6 @@ def test_objects_have_the_ids_of_their_tracks(track_ids: tuple[str, ...], told: 
     assert tuple(one.track_id for one in found) == told
 
 
-def test_there_may_be_none() -> None:
-    none = Detections(np.empty((0, 4), np.float32), np.empty(0, np.float32), np.empty(0, np.int64))
-    assert len(none) == 0
-
-
 @pytest.mark.parametrize(
     ("column", "values", "reason"),
     [

@@ -11,7 +11,7 @@ from yolov5_lifecycle.checkpoints.locate import WeightsFile, load_weights
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 
 WEIGHTS = REPOSITORY / "weights"
@@ -96,11 +96,3 @@ def test_an_empty_image_has_no_shapes(detecting: WeightsFile) -> None:
     for level in (0, 114, 255):
         empty = ColourImage(np.full((480, 640, 3), level, np.uint8), "rgb")
         assert len(detector.detect(empty, Selection())) == 0
-
-
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_every_class_is_found_in_either_order_of_colours(detecting: WeightsFile, order: Order) -> None:
-    pixels, _ = Scene(UNSEEN_SEED, (480, 640)).frame(0)
-    image = ColourImage(pixels if order == "rgb" else pixels[..., ::-1].copy(), order)
-    found = detector_of(detecting, runtime="torch").detect(image, Selection())
-    assert set(found.class_ids) == set(range(len(CLASS_NAMES)))

@@ -63,10 +63,10 @@ def allocated_bytes(run: Callable[[], object]) -> int:
     return most
 
 
-def check_cost(architecture: Architecture, image_size: int = 320) -> None:
+def check_cost(architecture: Architecture) -> None:
     """Compare multiply-adds and memory with torch's, for an image that is not square."""
     multiple = size_multiple(architecture)
-    height = -(-image_size // multiple) * multiple
+    height = -(-320 // multiple) * multiple
     cost = cost_of(architecture, (height, height + multiple))
     flops = counted_flops(architecture, cost.size_hw)
     assert 2 * cost.multiply_adds == pytest.approx(flops, rel=0.1)

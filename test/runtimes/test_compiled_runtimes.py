@@ -16,18 +16,15 @@ from support.random_model import CLASS_NAMES, TINY, random_frame, random_model
 from support.runtime_names import COMPILED_RUNTIMES
 
 from benchmark.process_memory import resident_mb
-from yolov5_lifecycle.checkpoints.locate import load_weights
-from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.registry import load_runtime
-from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
+from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
-from yolov5_lifecycle.sources.scene import Scene
 
 DETECT_ALONE = dataclasses.replace(
     TINY, anchors_px=(((10, 13), (16, 30)),), strides=(1,), layers=(Layer((-1,), 1, "Detect"),)
@@ -73,21 +70,6 @@ def test_a_random_network_predicts_what_it_predicts_in_torch(
     assert_same_predictions(raw, expected)
 
 
-@pytest.mark.parametrize("source_hw", [(240, 320), (320, 180)], ids=str)
-def test_a_trained_model_finds_in_a_scene_what_it_finds_in_torch(
-    runtime_name: str, source_hw: tuple[int, int]
-) -> None:
-    model = load_weights(REPOSITORY / "weights" / "shapes.safetensors").model
-    shown, truth = Scene(8, source_hw).frame(0)
-    letterbox = Letterbox.fit(source_hw, image_size=320, stride=32)
-    frame = letterbox.apply(shown)
-    raw, expected = (loaded(model, name)(frame, "rgb").rows for name in (runtime_name, "torch"))
-    assert_same_predictions(raw, expected)
-    found, wanted = (select(rows, Selection()) for rows in (raw, expected))
-    np.testing.assert_array_equal(found.class_ids, wanted.class_ids)
-    assert len(found) >= len(truth.class_ids) - 1 > 0
-
-
 @pytest.mark.long
 def test_sizes_may_alternate_without_end(runtime_name: str) -> None:
     model = random_model(2)
@@ -102,11 +84,6 @@ def test_a_gpu_or_half_numbers_are_refused(runtime_name: str) -> None:
         load_runtime(random_model(), runtime_name, device="cuda:0", precision="auto")
     with pytest.raises(DeviceError, match="needs a GPU"):
         load_runtime(random_model(), runtime_name, device="auto", precision="fp16")
-
-
-def test_a_frame_of_another_shape_than_the_stride_allows_is_an_inference_error(runtime_name: str) -> None:
-    with pytest.raises(InferenceError, match=f"{runtime_name} failed on cpu: "):
-        loaded(random_model(), runtime_name)(random_frame(72, 96), "rgb")
 
 
 @pytest.mark.long

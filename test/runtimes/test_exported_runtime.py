@@ -152,19 +152,6 @@ def test_loading_and_running_leave_denormal_numbers_to_the_thread(runtime_name: 
     assert not are_zero()
 
 
-def test_lanes_predict_the_same_until_they_are_closed(runtime_name: str) -> None:
-    runtime = loaded(runtime_name)
-    expected = runtime(frame(), "rgb").rows
-    others = runtime.lanes(2, 1)
-    runtime.close()
-    for other in others:
-        np.testing.assert_allclose(other(frame(), "rgb").rows, expected, atol=1e-6)
-        other.close()
-    for use in (lambda: runtime(frame(), "rgb"), lambda: runtime.lanes(2, 1)):
-        with pytest.raises(InferenceError, match="closed"):
-            use()
-
-
 def test_a_graph_that_the_engine_cannot_run_is_told(runtime_name: str) -> None:
     with pytest.raises(InferenceError, match=f"{runtime_name} failed on cpu: "):
         loaded(runtime_name)(frame(0, (32, 32)), "rgb")

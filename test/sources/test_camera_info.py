@@ -28,16 +28,6 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
     assert known.projection_matrix.data[5] == 393.66
 
 
-def test_a_package_has_the_file(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    marker = tmp_path / "share" / "ament_index" / "resource_index" / "packages" / "my_robot"
-    marker.parent.mkdir(parents=True)
-    marker.touch()
-    (tmp_path / "share" / "my_robot").mkdir()
-    path.rename(tmp_path / "share" / "my_robot" / "lens.yaml")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    assert read_camera_info("package://my_robot/lens.yaml").size_hw == (480, 640)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("old", "new", "told"),
@@ -74,6 +64,7 @@ def test_wrong_values_are_refused_with_the_reason(path: Path, old: str, new: str
         pytest.param("file://lens.yaml", "expected file:///PATH", id="relative"),
         pytest.param("package://no_such/lens.yaml", "no package 'no_such'", id="package"),
         pytest.param("file:///no/such.yaml", "No such file", id="no file"),
+        pytest.param("package://yolov5_lifecycle/no.yaml", "/no.yaml: No such file", id="of a package"),
         pytest.param("file:///dev/zero", "expected a regular file", id="device"),
         pytest.param("file:///", "found a folder", id="folder"),
     ],

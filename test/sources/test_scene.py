@@ -69,8 +69,8 @@ def test_an_image_too_small_for_shapes_is_refused(size_hw: tuple[int, int]) -> N
 SIZE_HW = (48, 64)
 
 
-def shape_of(class_name: str, centre_xy: tuple[float, float], radius: float, angle: float = 0.3) -> Shape:
-    return Shape(CLASS_NAMES.index(class_name), centre_xy, radius, angle, (255, 255, 255))
+def shape_of(class_name: str, centre_xy: tuple[float, float], radius: float) -> Shape:
+    return Shape(CLASS_NAMES.index(class_name), centre_xy, radius, 0.3, (255, 255, 255))
 
 
 def labels_of(*shapes: Shape, size_hw: tuple[int, int] = SIZE_HW) -> NDArray[np.uint16]:

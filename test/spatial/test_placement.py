@@ -113,11 +113,9 @@ def test_a_cuboid_on_a_floor_has_the_size_of_all_its_visible_faces(yaw: float, h
     assert found.centre_xyz_m == pytest.approx(((lower + upper) / 2).tolist(), abs=0.06)
 
 
-def board_before_wall(
-    *, board_m: float = 2.0, wall_m: float = 4.0, box: tuple[int, int, int, int] = (100, 80, 180, 140)
-) -> NDArray[np.float32]:
-    depth_m = np.full(SIZE_HW, wall_m, np.float32)
-    depth_m[box[1] : box[3], box[0] : box[2]] = board_m
+def board_before_wall(board_m: float = 2.0) -> NDArray[np.float32]:
+    depth_m = np.full(SIZE_HW, 4, np.float32)
+    depth_m[80:140, 100:180] = board_m
     return depth_m
 
 

@@ -146,7 +146,7 @@ def expected_family(name: str) -> ExpectedPredictions:
     return ExpectedPredictions.of(found, found["tolerance"], families()[found.get("same_numbers_as", name)])
 
 
-def family_architecture(name: str, **changes: object) -> Architecture:
+def family_architecture(name: str) -> Architecture:
     """The architecture of an entry, with the activations that its modules have."""
     found = families()[name]
     anchors_px = tuple(tuple(map(tuple, level)) for level in found["anchors_px"])
@@ -158,8 +158,7 @@ def family_architecture(name: str, **changes: object) -> Architecture:
         image_channels=found["image_channels"],
     )
     others = tuple((path, activation) for path, activation in found.get("other_activations", []))
-    architecture = dataclasses.replace(architecture, activation=found["activation"], other_activations=others)
-    return dataclasses.replace(architecture, **changes)  # type: ignore[arg-type]  # of any field
+    return dataclasses.replace(architecture, activation=found["activation"], other_activations=others)
 
 
 def family_network(name: str) -> Network:
@@ -174,8 +173,8 @@ def _is_before_v6(name: str) -> bool:
     return name.startswith(("v3.", "v4.", "v5."))
 
 
-def family_checkpoint(name: str, **options: Any) -> bytes:
-    """The model of an entry as its version of YOLOv5 saves it, in float32; `options` of `official_model`."""
+def family_checkpoint(name: str) -> bytes:
+    """The model of an entry as its version of YOLOv5 saves it, in float32."""
     network = family_network(name)
     classes = network.architecture.classes
     kind = "Model" if name.startswith(("v3.", "v4.", "v5.", "v6.0", "v6.1")) else "DetectionModel"
@@ -187,7 +186,6 @@ def family_checkpoint(name: str, **options: Any) -> bytes:
         half=False,
         network=network,
         before_v6=_is_before_v6(name),
-        **options,
     )
     model.yaml = families()[name]["yaml"] | (
         {} if _is_before_v6(name) else {"ch": families()[name]["image_channels"]}

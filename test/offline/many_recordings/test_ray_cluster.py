@@ -9,16 +9,17 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.detected_offline import SET_MODEL, run
 from support.many_recordings import LONG, broken, messages, record_drives, states
 from support.recorded_scene import COUNT, video
+from support.started import started
 
 from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE
@@ -30,7 +31,6 @@ pytestmark = [
     pytest.mark.skipif(bool(absence_of("ray")), reason=absence_of("ray") or "ray is installed"),
 ]
 _POLL_S = 0.02
-_START_S = 90.0
 _END_S = 30.0
 
 
@@ -82,19 +82,20 @@ def head() -> Iterator[RayHead]:
 
 
 def _address(head: subprocess.Popen[bytes], folder: Path) -> str:
-    file, deadline_s = folder / "ray_current_cluster", time.monotonic() + _START_S
+    file = folder / "ray_current_cluster"
     while not (file.is_file() and file.read_text().strip()):
-        assert head.poll() is None, (folder / "log").read_text()
-        assert time.monotonic() < deadline_s, (folder / "log").read_text()
-        time.sleep(0.1)
+        _wait_a_moment(head)
     return file.read_text().strip()
 
 
-def started(head: RayHead, drives: Path, output: Path) -> subprocess.Popen[str]:
-    words = [entry_point("detect_bag"), str(drives), "--output", str(output), "--ray", head.address]
-    return subprocess.Popen(
-        [*words, *SET_MODEL], env=dict(head.environment), stderr=subprocess.PIPE, text=True
-    )
+def _wait_a_moment(process: subprocess.Popen[Any]) -> None:
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(_POLL_S)
+
+
+def detecting(head: RayHead, drives: Path, output: Path) -> AbstractContextManager[subprocess.Popen[str]]:
+    words = [entry_point("detect_bag"), drives, "--output", output, "--ray", head.address, *SET_MODEL]
+    return started(words, env=head.environment, stderr=subprocess.PIPE, text=True)
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
@@ -105,8 +106,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
 def wait_for_output(process: subprocess.Popen[str], output: Path) -> None:
     """Wait until a worker writes."""
     while not (output.exists() and has_unfinished_outputs(output)):
-        assert process.poll() is None, process.communicate()[1]
-        time.sleep(_POLL_S)
+        _wait_a_moment(process)
 
 
 def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
@@ -116,7 +116,8 @@ def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
     broken(drives, "c")
     video(drives / "film.avi")
     output = tmp_path / "found"
-    code, told = ended(started(head, drives, output))
+    with detecting(head, drives, output) as process:
+        code, told = ended(process)
     assert code == EXIT_INCOMPLETE, told
     assert states(output) == {"a": "done", "b": "done", "c": "failed", "film": "done"}
     lines = tmp_path / "film.jsonl"
@@ -124,7 +125,8 @@ def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
     assert (output / "film" / "detections.jsonl").read_text() == lines.read_text()
     assert run([str(drives / "a"), "--output", str(tmp_path / "a"), *SET_MODEL]) == 0
     assert messages(output / "a") == messages(tmp_path / "a")
-    code, told = ended(started(head, drives, output))
+    with detecting(head, drives, output) as process:
+        code, told = ended(process)
     assert code == EXIT_INCOMPLETE, told
     assert states(output) == {"a": "skipped", "b": "skipped", "c": "failed", "film": "skipped"}
 
@@ -132,13 +134,13 @@ def test_a_cluster_gives_the_results_of_single_runs_and_then_skips_them(
 def test_a_killed_actor_loses_nothing(head: RayHead, tmp_path: Path) -> None:
     drives = record_drives(tmp_path / "drives", {"long": 10 * LONG, "short": COUNT})
     output = tmp_path / "found"
-    process = started(head, drives, output)
-    wait_for_output(process, output)
-    while not (actors := head.processes("ray::Work.detect")):
-        time.sleep(_POLL_S)
-    for actor in actors:
-        os.kill(actor, signal.SIGKILL)
-    code, told = ended(process)
+    with detecting(head, drives, output) as process:
+        wait_for_output(process, output)
+        while not (actors := head.processes("ray::Work.detect")):
+            _wait_a_moment(process)
+        for actor in actors:
+            os.kill(actor, signal.SIGKILL)
+        code, told = ended(process)
     assert code == 0, told
     assert "another worker retries it" in told
     assert states(output) == {"long": "done", "short": "done"}
@@ -153,9 +155,9 @@ def test_a_signal_ends_the_actors_and_removes_what_is_unfinished(
 ) -> None:
     drives = record_drives(tmp_path / "drives", {"a": 20 * LONG, "b": 20 * LONG})
     output = tmp_path / "found"
-    process = started(head, drives, output)
-    wait_for_output(process, output)
-    process.send_signal(number)
-    code, told = ended(process)
+    with detecting(head, drives, output) as process:
+        wait_for_output(process, output)
+        process.send_signal(number)
+        code, told = ended(process)
     assert code == 128 + number, told
     assert not output.exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
+import threading
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +26,7 @@ from yolov5_lifecycle.offline.terminal import Terminal, report
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.unfinished import hold, open_itself
 
+PATIENCE_S = 60.0
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
 
 
@@ -54,7 +55,8 @@ class ScriptedWorker(Worker):
     ) -> None:
         self.plans: list[Plan] = []
         self.begun: list[str] = []
-        self.is_stopped = self.is_closed = False
+        self.stopped = threading.Event()
+        self.is_closed = False
         self._on_load, self._on_detect = on_load, on_detect
 
     def load(self, plan: Plan) -> Plan:
@@ -67,10 +69,10 @@ class ScriptedWorker(Worker):
         return self._on_detect(self, source)
 
     def restart(self) -> None:
-        self.is_stopped = False
+        self.stopped.clear()
 
     def stop(self) -> None:
-        self.is_stopped = True
+        self.stopped.set()
 
     def close(self) -> None:
         self.is_closed = True
@@ -116,16 +118,12 @@ class ScriptedRun:
 
 
 def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -> None:
-    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
-        time.sleep(0.05)  # long enough for the others to begin, if they do not wait
-        return loaded(worker, plan)
-
-    scripted = ScriptedRun(tmp_path, 3, on_load=load)
+    scripted = ScriptedRun(tmp_path, 3)
     batch = scripted.run()
     settings = [plan.settings for worker in scripted.workers for plan in worker.plans]
     assert [one.runtime for one in settings] == ["auto", "torch", "torch"]
     assert [one.precision for one in settings] == ["auto", "fp32", "fp32"]
-    assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
+    assert all(worker.stopped.is_set() and worker.is_closed for worker in scripted.workers)
     assert scripted.begun == list("abcd")
     assert (batch.states["done"], batch.images) == (4, 8)
 
@@ -209,8 +207,7 @@ def test_the_last_worker_is_not_left_out(tmp_path: Path) -> None:
 
 def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) -> None:
     def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        while not worker.is_stopped:
-            time.sleep(0.001)
+        assert worker.stopped.wait(PATIENCE_S)
         raise ChildProcessError("it died")
 
     def interrupt(shown: str) -> None:
@@ -221,7 +218,7 @@ def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) ->
     with pytest.raises(KeyboardInterrupt):
         scripted.run()
     assert len(scripted.begun) == 1
-    assert all(worker.is_stopped and worker.is_closed for worker in scripted.workers)
+    assert all(worker.stopped.is_set() and worker.is_closed for worker in scripted.workers)
     assert all(told.startswith("continuing with") for told in scripted.notes.told)
 
 
