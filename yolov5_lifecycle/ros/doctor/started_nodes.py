@@ -16,6 +16,7 @@ from pathlib import Path
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
+from yolov5_lifecycle.atomic_file import temporary_folder
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.printable import in_one_line
@@ -24,7 +25,6 @@ from yolov5_lifecycle.ros.doctor.environment import PROFILE
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
-from yolov5_lifecycle.unfinished import temporary_folder
 
 _WIDTH, _HEIGHT = 1280, 720
 _RATE_HZ = 15.0
