@@ -23,7 +23,7 @@ from websockets.typing import Origin
 from benchmark.process_memory import cpu_s
 from benchmark.report import Figures, Goal, Program, in_turns, quick, row
 from yolov5_lifecycle.ros.child_process import ChildProcess
-from yolov5_lifecycle.ros.demo.one_camera import COMMANDS
+from yolov5_lifecycle.ros.demo.demonstrations import ONE_CAMERA
 from yolov5_lifecycle.ros.demo.stage import started
 
 VIEWERS = (1, 4)
@@ -59,7 +59,7 @@ def robot(rate_hz: float) -> Iterator[ChildProcess]:
     """Camera, detector and console; the last of them, serving."""
     commands = {
         "camera": f"camera --ros-args -r image_raw:={NODE}/image_raw -p rate:={rate_hz}",
-        "detector": f"{COMMANDS['detector']} -p autostart:=true",
+        "detector": f"{ONE_CAMERA['detector']} -p autostart:=true",
         "console": "console --port 0",
     }
     with started(commands) as (_, detector, console):

@@ -15,18 +15,20 @@ import pytest
 from support.colcon_workspace import REPOSITORY
 from support.started import started
 
-from yolov5_lifecycle.atomic_file import OutputError, atomic_write, whole_output
-from yolov5_lifecycle.unfinished import (
+from yolov5_lifecycle.atomic_file import (
     FOLDER_PREFIX,
+    OutputError,
+    atomic_write,
     hold,
-    remove_abandoned,
     remove_abandoned_folders,
     temporary_folder,
+    whole_output,
+    write_together,
 )
 
 OWNER = """
 import sys
-from yolov5_lifecycle.unfinished import temporary_folder
+from yolov5_lifecycle.atomic_file import temporary_folder
 with temporary_folder() as folder:
     (folder / "optimized.onnx").write_bytes(bytes(1000))
     print(folder, flush=True)
@@ -146,15 +148,6 @@ def test_the_folder_of_another_user_is_left_alone(folder: Path) -> None:
     assert other.is_dir()
 
 
-def test_a_folder_that_is_named_like_an_unfinished_file_is_left_alone(folder: Path) -> None:
-    precious = folder / ".backup.part" / "precious"
-    precious.mkdir(parents=True)
-    (folder / ".file.part").touch()
-    remove_abandoned(folder, prefix=".", suffix=".part")
-    assert [path.name for path in folder.iterdir()] == [".backup.part"]
-    assert precious.is_dir()
-
-
 def test_a_machine_without_a_folder_for_temporary_files_has_nothing_to_remove(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,8 +170,18 @@ def test_a_file_is_locked_by_one_owner_and_only_at_its_path(tmp_path: Path) -> N
 
 
 def test_a_file_is_whole_while_others_remove_what_is_abandoned(tmp_path: Path) -> None:
+    abandoned(tmp_path, "old")
+    (tmp_path / "file").write_bytes(b"0")
     atomic_write(tmp_path / "file", b"1", b"2")
-    (tmp_path / ".old.part").touch()
-    remove_abandoned(tmp_path, prefix=".", suffix=".part")
+    remove_abandoned_folders(tmp_path)
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("file", b"12")]
     assert (tmp_path / "file").stat().st_mode & 0o777 == 0o644
+
+
+def test_files_that_belong_together_are_all_written_or_none(tmp_path: Path) -> None:
+    (tmp_path / "one").write_bytes(b"before")
+    with pytest.raises(FileNotFoundError):
+        write_together({tmp_path / "one": b"1", tmp_path / "no folder" / "two": b"2"})
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("one", b"before")]
+    write_together({tmp_path / "one": b"1", tmp_path / "two": b"2"})
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"one": b"1", "two": b"2"}

@@ -21,7 +21,7 @@ from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.detector_process import NODE, detector_process
 
-from yolov5_lifecycle.ros.demo.one_camera import SEED
+from yolov5_lifecycle.ros.demo.demonstrations import SEED
 
 REPOSITORY = Path(__file__).parents[1]
 _CAMERA = ("--ros-args", "-p", f"seed:={SEED}", "-p", "rate:=15.0", "-r", f"image_raw:={NODE}/image_raw")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from support.candidates import CLASS_NAMES, RECORD, add, candidate, frames_of, images_of, keep, look_of
 from support.started import started
 
+from yolov5_lifecycle.atomic_file import FOLDER_PREFIX
 from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.candidate import Detail, Trigger
 from yolov5_lifecycle.collecting.collected_files import (
@@ -52,7 +53,7 @@ def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
     assert kept == recorded_images(folder)
     assert kept == images(folder)
     assert [file_of(image, LABELS) for image in kept] == labels(folder)
-    assert [*folder.rglob("*.part")] == []
+    assert [*folder.rglob(".*")] == []
     told: list[str] = []
     problems = Problems(told.append)
     data = read_yolo_folder(folder, problems)
@@ -229,6 +230,19 @@ def test_without_the_names_of_its_classes_a_folder_is_refused(tmp_path: Path, da
     with pytest.raises(CollectingError, match=r"data\.yaml"):
         CollectedFolder(tmp_path, LARGE)
     assert len(images(tmp_path)) == 1
+
+
+def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, LARGE)
+    keep(folder)
+    session = (tmp_path / images(tmp_path)[0]).parent
+    folder.close()
+    for parent in (tmp_path, session):
+        left = parent / f"{FOLDER_PREFIX}killed"
+        left.mkdir()
+        (left / "unfinished").write_bytes(b"half")
+    CollectedFolder(tmp_path, LARGE).close()
+    assert check(tmp_path) == 1
 
 
 def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:

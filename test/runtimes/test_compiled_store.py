@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from support.random_model import TINY, random_model
 from support.runtime_names import COMPILED_RUNTIMES
 
+from yolov5_lifecycle.atomic_file import FOLDER_PREFIX, temporary_folder
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes import compiled_runtime
 from yolov5_lifecycle.runtimes.cache import CompiledStore
 from yolov5_lifecycle.runtimes.registry import load_runtime
-from yolov5_lifecycle.unfinished import hold
 
 ONE, TWO, THREE, FOUR = (digit * 64 for digit in "1234")
 FRAME = np.random.default_rng(0).integers(0, 256, (64, 96, 3), np.uint8)
@@ -67,14 +67,11 @@ def test_a_damaged_file_is_not_read_and_may_be_replaced(
 
 
 def test_what_a_killed_process_has_left_half_written_is_removed(tmp_path: Path) -> None:
-    abandoned, living = tmp_path / ".abandoned.part", tmp_path / ".living.part"
-    others = [tmp_path / name for name in (".notes", "notes.part")]
-    for path in (abandoned, living, *others):
-        path.write_bytes(b"x")
-    with living.open("rb") as file:
-        assert hold(file.fileno(), living)
+    (tmp_path / f"{FOLDER_PREFIX}abandoned").mkdir()
+    (tmp_path / ".notes").mkdir()
+    with temporary_folder(tmp_path) as living:
         CompiledStore(tmp_path).keep(ONE, b"compiled")
-    assert sorted(tmp_path.iterdir()) == sorted([living, *others, tmp_path / ONE])
+        assert sorted(tmp_path.iterdir()) == sorted([living, tmp_path / ".notes", tmp_path / ONE])
 
 
 @pytest.mark.parametrize(

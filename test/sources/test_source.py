@@ -15,7 +15,7 @@ from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.hostile_images import HOSTILE_JPEGS
 
 from yolov5_lifecycle.sources.frames import SourceError
-from yolov5_lifecycle.sources.scene import Scene
+from yolov5_lifecycle.sources.scene import Scene, truth_of
 from yolov5_lifecycle.sources.source import open_source
 
 
@@ -40,8 +40,7 @@ def test_the_scene_comes_with_its_truth() -> None:
     for index, frame in enumerate(frames):
         pixels, truth = Scene(4, (120, 160)).frame(index)
         assert (frame.image.pixels == pixels).all()
-        assert frame.truth is not None
-        assert (frame.truth.boxes_xyxy == truth.boxes_xyxy).all()
+        assert (truth_of(frame.shapes, (120, 160)).boxes_xyxy == truth.boxes_xyxy).all()
 
 
 @pytest.mark.parametrize(("source", "rate_hz"), [("video", 10.0), ("folder", 30.0)])

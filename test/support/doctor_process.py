@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -21,6 +21,7 @@ from yolov5_lifecycle.process.termination import on_termination
 on_termination(lambda number: sys.exit(128 + number))
 sys.exit(main(words, root=Path(root)))
 """
+_LINE = re.compile(r"^(ok|warning|error) +(.{20,}?) (\S.*)\n(?: {9}-> (.*)\n)?", re.MULTILINE)
 
 
 def command(*words: str, root: Path = Path("/"), python: Path | str = sys.executable) -> list[str]:
@@ -34,14 +35,17 @@ def doctor(*words: str, environment: Mapping[str, str] = {}, **machine: object) 
     `machine`: the `root`, see `main`, and the `python`.
     """
     run = subprocess.run(
-        command("--json", *words, **machine),  # type: ignore[arg-type]
+        command(*words, **machine),  # type: ignore[arg-type]
         env=os.environ | environment,
         capture_output=True,
         text=True,
         check=False,
     )
     assert run.stdout, run.stderr
-    rows = [Finding(**line) for line in json.loads(run.stdout)["lines"]]
+    rows = [
+        Finding(subject.strip(), level, found, remedy)
+        for level, subject, found, remedy in _LINE.findall(run.stdout)
+    ]
     assert run.returncode == any(row.level == "error" for row in rows), run.stderr
     return rows
 

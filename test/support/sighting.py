@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.ros.demo.ground_truth import boxes_xyxy, class_names
+from yolov5_lifecycle.ros.demo.demonstrations import boxes_xyxy, class_names
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, write_together
+from yolov5_lifecycle.atomic_file import (
+    FOLDER_PREFIX,
+    hold,
+    open_itself,
+    remove_abandoned_folders,
+    write_together,
+)
 from yolov5_lifecycle.collecting.collected_files import (
     DATA,
     FRAMES,
@@ -33,7 +39,6 @@ from yolov5_lifecycle.collecting.collected_files import (
 from yolov5_lifecycle.collecting.descriptors import KeptDescriptors
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.folder_listing import FolderTree
-from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned
 
 MAX_FRAMES = 20_000
 """By default; each takes about 2 kB of memory."""
@@ -228,9 +233,10 @@ class CollectedFolder:
         self._make_room(math.inf)
         tree = FolderTree()
         files = (file for kind in SUFFIXES for file in tree.files(self._path / kind))
-        for folder in {self._path, *(file.parent for file in files if file.suffix == UNFINISHED_SUFFIX)}:
-            with suppress(OSError):
-                remove_abandoned(folder, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+        parents = {file.parent for file in files}
+        unfinished = {folder.parent for folder in parents if folder.name.startswith(FOLDER_PREFIX)}
+        for folder in (self._path, *unfinished):
+            remove_abandoned_folders(folder)
 
 
 def _missing(path: Path) -> CollectingError:

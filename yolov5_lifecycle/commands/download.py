@@ -13,10 +13,10 @@ from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
+from yolov5_lifecycle.atomic_file import hold, open_itself
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, load_weights
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.unfinished import hold, open_itself
 
 _STALL_S = 30.0
 _CHUNK_BYTES = 1 << 14

@@ -15,12 +15,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser, version_line
-from yolov5_lifecycle.doctor.finding import Finding, Machine, error, public
+from yolov5_lifecycle.doctor.finding import Finding, Level, Machine, error, public
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import prepare_environment
 from yolov5_lifecycle.process.missing_package import import_problem
@@ -95,15 +95,16 @@ def main(
     """
     given = _arguments(argv)
     begun_s = now_s()
-    findings, code = [], 0
-    if not given.json:
-        code = write_output("doctor", f"{version_line('doctor')}: takes at most {given.time:g} s\n")
+    levels = Counter[Level]()
+    code = write_output("doctor", f"{version_line('doctor')}: takes at most {given.time:g} s\n")
     for finding in _examined(root, given.only or NAMES, given.time, now_s):
-        findings.append(finding)
-        if not given.json:
-            code = code or write_output("doctor", _as_text(finding))
-    code = code or write_output("doctor", (_as_json if given.json else _summary)(findings, now_s() - begun_s))
-    return code or (EXIT_ERRORS if any(finding.level == "error" for finding in findings) else 0)
+        levels[finding.level] += 1
+        remedy = f"         -> {finding.remedy}\n" if finding.remedy else ""
+        line = f"{finding.level:<8} {finding.subject:<20} {finding.found}\n{remedy}"
+        code = code or write_output("doctor", line)
+    counts = f"{levels['ok']} ok, {levels['warning']} warnings, {levels['error']} errors"
+    code = code or write_output("doctor", f"{counts} in {now_s() - begun_s:.0f} s\n")
+    return code or (EXIT_ERRORS if levels["error"] else 0)
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -112,7 +113,6 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
         description="Check this machine: system, packages, ROS, devices, runtimes, cameras, image transport "
         "and the node's whole life. The report has no names of people or machines: paste it into an issue.",
     )
-    parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument(
         "--only", nargs="+", metavar="NAME", choices=NAMES, help=f"make only these checks: {', '.join(NAMES)}"
     )
@@ -146,24 +146,6 @@ def _examined(
                 remedy=f"`doctor --only {examination.name}`, or `doctor --time 600` on a slow machine.",
             )
             yield replace(finding, subject=str(examination))
-
-
-def _as_text(finding: Finding) -> str:
-    remedy = f"         -> {finding.remedy}\n" if finding.remedy else ""
-    return f"{finding.level:<8} {finding.subject:<20} {finding.found}\n{remedy}"
-
-
-def _summary(findings: Sequence[Finding], duration_s: float) -> str:
-    levels = Counter(finding.level for finding in findings)
-    return (
-        f"{levels['ok']} ok, {levels['warning']} warnings, {levels['error']} errors in {duration_s:.0f} s\n"
-    )
-
-
-def _as_json(findings: Sequence[Finding], duration_s: float) -> str:
-    lines = [asdict(finding) for finding in findings]
-    content = {"version": version_line("doctor"), "duration_s": round(duration_s, 1), "lines": lines}
-    return f"{json.dumps(content, indent=2, ensure_ascii=False)}\n"
 
 
 def planned(root: Path) -> list[Examination]:

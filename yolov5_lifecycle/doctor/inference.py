@@ -28,35 +28,21 @@ _IMAGE, _SHAPES = Scene(8, (480, 640)).frame(0)
 _TRUTH = Detections(_SHAPES.boxes_xyxy, np.ones(len(_SHAPES.class_ids), np.float32), _SHAPES.class_ids)
 _RUNS = 5
 
-EXACT = (1.0, 0.01)
-"""How much the same detection may differ: in pixels of a corner, and in the score."""
-COARSE = (6.0, 0.15)
-"""For fp16, and for the ground truth."""
+MOST_PX, MOST_SCORE = 6.0, 0.15
+"""How much a detection may differ from the ground truth: a corner of its box, and its score."""
 
 
-def _detected(*, runtime: str, device: str = "cpu", precision: str = "fp32") -> tuple[Detections, float]:
-    """What the network finds in the image, and the median milliseconds of a detection.
-
-    Raises what `load_model` and `Detector` raise.
-    """
-    detector = load_model(_WEIGHTS, runtime=runtime, device=device, precision=precision)
-    with closing(detector.runtime):
-        times_s = timeit.repeat(lambda: detector(_IMAGE, order="rgb"), number=1, repeat=_RUNS)
-        return detector(_IMAGE, order="rgb"), 1e3 * statistics.median(times_s)
-
-
-def difference(expected: Detections, found: Detections, tolerance: tuple[float, float]) -> str:
+def difference(expected: Detections, found: Detections) -> str:
     """The first object of one that the other lacks or has elsewhere; "" if there is none.
 
     Objects whose scores are so near to the threshold that they may be on either side of it are left out.
     """
-    most_px, most_score = tolerance
     for one, other, word in ((expected, found, "lacks"), (found, expected, "also has")):
         for box, score, class_id in zip(one.boxes_xyxy, one.scores, one.class_ids, strict=True):
             corners = np.abs(other.boxes_xyxy - box).max(axis=1, initial=0.0)
-            is_same = (other.class_ids == class_id) & (corners <= most_px)
-            is_same &= np.abs(other.scores - score) <= most_score
-            if not is_same.any() and score > Selection().confidence_threshold + most_score:
+            is_same = (other.class_ids == class_id) & (corners <= MOST_PX)
+            is_same &= np.abs(other.scores - score) <= MOST_SCORE
+            if not is_same.any() and score > Selection().confidence_threshold + MOST_SCORE:
                 return f"it {word} {CLASS_NAMES[class_id]} {score:.2f} at {box.round().astype(int).tolist()}"
     return ""
 
@@ -87,23 +73,11 @@ def _build(machine: Machine) -> Iterator[Finding]:
 
 
 def _forward(_: Machine) -> Iterator[Finding]:
-    expected, median_ms = _detected(runtime="torch")
-    problem = difference(_TRUTH, expected, COARSE)
-    yield _compared("cpu fp32", "the ground truth", problem, f"all {len(expected)} shapes found", median_ms)
+    remedy = "Install torch again; if that does not help, set device to another one and report this line."
+    yield _detected(remedy, runtime="torch")
     for device in devices_present()[1:]:
-        for precision, tolerance in (("fp32", EXACT), ("fp16", COARSE)):
-            found, median_ms = _detected(runtime="torch", device=device, precision=precision)
-            problem = difference(expected, found, tolerance)
-            yield _compared(
-                f"{device} {precision}", "the CPU", problem, "same detections as the CPU", median_ms
-            )
-
-
-def _compared(name: str, other: str, problem: str, told: str, median_ms: float) -> Finding:
-    if not problem:
-        return ok(f"{name}: {told}, {median_ms:.1f} ms an image")
-    remedy = "Install torch again; if the difference stays, set device to another one and report this line."
-    return error(f"{name} differs from {other}: {problem}", remedy=remedy)
+        for precision in ("fp32", "fp16"):
+            yield _detected(remedy, runtime="torch", device=device, precision=precision)
 
 
 def _runtime(machine: Machine) -> Iterator[Finding]:
@@ -111,16 +85,23 @@ def _runtime(machine: Machine) -> Iterator[Finding]:
     if missing := [package for package in packages if installed_build(package) is None]:
         yield ok(f"not installed ({', '.join(missing)}); the node uses another runtime")
         return
-    found, median_ms = _detected(runtime=machine.target)
-    expected, expected_ms = _detected(runtime="torch")
-    if problem := difference(expected, found, EXACT):
-        yield error(
-            f"differs from torch: {problem}",
-            remedy=f"Install it again with pip install --force-reinstall {' '.join(packages)}, or set "
-            "runtime to torch, because `auto` may choose this one.",
-        )
-    else:
-        yield ok(f"same detections as torch, {median_ms:.1f} ms an image (torch {expected_ms:.1f})")
+    remedy = (
+        f"Install it again with pip install --force-reinstall {' '.join(packages)}, or set runtime to torch, "
+        "because `auto` may choose this one."
+    )
+    yield _detected(remedy, runtime=machine.target)
+
+
+def _detected(remedy: str, *, runtime: str, device: str = "cpu", precision: str = "fp32") -> Finding:
+    """What the network finds in the image, and how fast; raises what `load_model` and `Detector` raise."""
+    detector = load_model(_WEIGHTS, runtime=runtime, device=device, precision=precision)
+    with closing(detector.runtime):
+        times_s = timeit.repeat(lambda: detector(_IMAGE, order="rgb"), number=1, repeat=_RUNS)
+        problem = difference(_TRUTH, detector(_IMAGE, order="rgb"))
+    if problem:
+        return error(f"{device} {precision} differs from the ground truth: {problem}", remedy=remedy)
+    median_ms = 1e3 * statistics.median(times_s)
+    return ok(f"{device} {precision}: all {len(_TRUTH.scores)} shapes found, {median_ms:.1f} ms an image")
 
 
 CHECKS: Groups = {"devices": {"torch": _build, "forward": _forward}, "runtime": {"runtime": _runtime}}

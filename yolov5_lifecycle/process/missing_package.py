@@ -6,39 +6,20 @@ import importlib
 import os
 import sys
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from yolov5_lifecycle.printable import in_one_line, shell_command
 
-PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
-    {
-        "annotated_types": "annotated-types",
-        "apsw": "apsw",
-        "backports": "backports.zstd",
-        "cv2": "opencv-python-headless",
-        "h11": "h11",
-        "lz4": "lz4",
-        "matplotlib": "matplotlib",
-        "numpy": "numpy",
-        "onnx": "onnx",
-        "onnxruntime": "onnxruntime",
-        "openvino": "openvino",
-        "prometheus_client": "prometheus-client",
-        "pyarrow": "pyarrow",
-        "pycocotools": "pycocotools",
-        "pydantic": "pydantic",
-        "pydantic_core": "pydantic-core",
-        "ray": "ray",
-        "rosbags": "rosbags",
-        "safetensors": "safetensors",
-        "scipy": "scipy",
-        "starlette": "starlette",
-        "torch": "torch",
-        "uvicorn": "uvicorn",
-        "websockets": "websockets",
-        "yaml": "pyyaml",
-    }
+_MODULES = (
+    *("annotated_types", "apsw", "h11", "lz4", "matplotlib", "numpy", "onnx", "onnxruntime", "openvino"),
+    *("prometheus_client", "pyarrow", "pycocotools", "pydantic", "pydantic_core", "ray", "rosbags"),
+    *("safetensors", "scipy", "starlette", "torch", "uvicorn", "websockets"),
 )
+PIP_PACKAGES: Mapping[str, str] = {
+    **{module: module.replace("_", "-") for module in _MODULES},
+    "backports": "backports.zstd",
+    "cv2": "opencv-python-headless",
+    "yaml": "pyyaml",
+}
 """pip name of each module that this package imports and that does not belong to ROS."""
 _APT_PACKAGES = {"cv2": "python3-opencv", "scipy": "python3-scipy"}
 

@@ -73,16 +73,12 @@ def _guarded(command: str, code: int, text: str) -> int:
 
 def complain(command: str, problem: object) -> None:
     """Write `problem`, which may contain untrusted text, to stderr if possible."""
-    with suppress(OSError):
-        sys.stderr.write(in_lines(f"{command}: {problem}") + "\n")
-        sys.stderr.flush()
+    _show(in_lines(f"{command}: {problem}") + "\n")
 
 
 def show_report(text: str) -> None:
     """Write the lines of `text` to stderr if possible, see `in_report`."""
-    with suppress(OSError):
-        sys.stderr.write(in_report(text))
-        sys.stderr.flush()
+    _show(in_report(text))
 
 
 def show_progress(text: str, *, done: bool = False) -> None:
@@ -92,8 +88,12 @@ def show_progress(text: str, *, done: bool = False) -> None:
     """
     if sys.stderr.isatty():
         line = f"\r{in_one_line(text, _LINE):<{_LINE}}" if text else ""
-        end = "\n" if done else ""
-        sys.stderr.write(f"{line}{end}")
+        _show(line + ("\n" if done else ""))
+
+
+def _show(text: str) -> None:
+    with suppress(OSError):
+        sys.stderr.write(text)
         sys.stderr.flush()
 
 

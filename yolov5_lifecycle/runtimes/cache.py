@@ -11,8 +11,7 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import UNFINISHED_PREFIX, UNFINISHED_SUFFIX, atomic_write
-from yolov5_lifecycle.unfinished import open_itself, remove_abandoned
+from yolov5_lifecycle.atomic_file import atomic_write, open_itself, remove_abandoned_folders
 
 MAX_BYTES = 1 << 30
 NO_PLACE = (OSError, RuntimeError)
@@ -36,12 +35,11 @@ def cache_folder(name: str) -> Path:
 def write_cache(path: Path, *parts: bytes) -> None:
     """Write a file atomically, creating its folder if needed; `path` may begin with ~. Raises NO_PLACE.
 
-    Removes unfinished files of processes that were killed while writing there.
+    Removes what processes that were killed while writing there left unfinished.
     """
     path = path.expanduser()
     path.parent.mkdir(parents=True, exist_ok=True)
-    with suppress(OSError):
-        remove_abandoned(path.parent, prefix=UNFINISHED_PREFIX, suffix=UNFINISHED_SUFFIX)
+    remove_abandoned_folders(path.parent)
     atomic_write(path, *parts, is_durable=False)
 
 

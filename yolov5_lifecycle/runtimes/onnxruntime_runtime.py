@@ -11,8 +11,8 @@ disable_telemetry()  # before the import below; a program that uses this package
 import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
+from yolov5_lifecycle.atomic_file import remove_abandoned_folders, temporary_folder
 from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Loaded, Threads
-from yolov5_lifecycle.unfinished import remove_abandoned_folders, temporary_folder
 
 _log = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.sources.scene import Shape, Truth
+from yolov5_lifecycle.sources.scene import Shape
 from yolov5_lifecycle.sources.scene_depth import DepthFrame
 
 
@@ -16,12 +16,10 @@ class SourceError(ValueError):
 
 @dataclass(frozen=True)
 class SourceFrame:
-    """One image and, for the synthetic scene only, its ground truth and, on request, its depth."""
+    """One image and, for the synthetic scene only, its shapes and, on request, its depth."""
 
     image: ColourImage
-    truth: Truth | None = None
     shapes: Sequence[Shape] = ()
-    """In the order of the ground truth."""
     depth: DepthFrame | None = None
 
 

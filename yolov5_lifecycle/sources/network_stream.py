@@ -17,8 +17,7 @@ from yolov5_lifecycle.process.standard_streams import stderr_without_secrets
 from yolov5_lifecycle.sources.frames import SourceError
 
 SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "http", "https", "udp", "tcp", "rtp", "srt")
-MIN_DELAY_S = 1.0
-MAX_DELAY_S = 30.0
+RETRY_S = 5.0
 _TIMEOUT_MS = 10_000
 """For connecting and for each frame; OpenCV's default is 30 s. GStreamer pipelines set their own."""
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
@@ -74,10 +73,8 @@ def open_stream(
 ) -> tuple[Iterator[NDArray[np.uint8]], float | None]:
     """BGR frames (H, W, 3) of `source` and, for a file served over the network, their rate, else None.
 
-    With `reconnects`, a stream that ends is reconnected until it succeeds.
-
-    Raises SourceError if the first connection fails. Later failures go to `report`; `wait` is called before
-    each attempt, with a backoff that doubles from 1 to 30 s.
+    With `reconnects`, a stream that ends is reconnected until it succeeds, which goes to `report`; `wait` is
+    called before each attempt. Raises SourceError if the first connection fails.
     """
     first = connect(source)
     if not first.isOpened():
@@ -90,21 +87,18 @@ def open_stream(
     rate_hz = first.get(cv2.CAP_PROP_FPS)
 
     def frames() -> Iterator[NDArray[np.uint8]]:
-        capture, delay_s = first, MIN_DELAY_S
+        capture, shown = first, in_one_line(source)
         while True:
             with suppress(SourceError):
-                for pixels in captured(capture):
-                    yield pixels
-                    delay_s = MIN_DELAY_S
+                yield from captured(capture)
             if not reconnects:
                 return
-            report(f"'{in_one_line(source)}' delivers no more images. Reconnecting in {delay_s:g} s.")
-            if wait(delay_s):
-                return
-            delay_s = min(2 * delay_s, MAX_DELAY_S)
-            capture = connect(source)
-            if capture.isOpened():
-                report(f"'{in_one_line(source)}' is connected again.")
+            report(f"'{shown}' delivers no more images. Reconnecting every {RETRY_S:g} s.")
+            while not capture.isOpened():
+                if wait(RETRY_S):
+                    return
+                capture = connect(source)
+            report(f"'{shown}' is connected again.")
 
     return frames(), rate_hz if is_file and 0 < rate_hz <= 1000 else None
 

@@ -49,10 +49,6 @@ _MAX_REPORTED = 10
 """Number of skipped images that are reported by name; further ones are only counted."""
 
 
-def _keep_silent(_: str) -> None:
-    pass
-
-
 def open_source(
     source: str,
     *,
@@ -60,7 +56,7 @@ def open_source(
     seed: int = 0,
     depth: bool = False,
     loop: bool = True,
-    report: Report = _keep_silent,
+    report: Report = lambda problem: None,
     wait: Wait = sleep,
 ) -> ImageSource:
     """Open `source`: "synthetic", a device, a URL, a GStreamer pipeline, a video, an image or a folder.
@@ -81,12 +77,13 @@ def open_source(
     if device := _DEVICE.fullmatch(os.path.realpath(source) if "/" in source else source):
         return _device(int(device[1]), size_hw)
     path = Path(source).expanduser()
-    if _exists(path) and path.is_char_device():  # a terminal or a serial port would be waited for
+    exists = os.path.exists(path)  # noqa: PTH110 - Path.exists raises if the name is too long
+    if exists and path.is_char_device():  # a terminal or a serial port would be waited for
         raise SourceError(f"{in_one_line(source)} is a device, but not a camera.{_devices()}")
-    if is_stream(source) and not _exists(path):
+    if is_stream(source) and not exists:
         frames, rate_hz = open_stream(source, reconnects=loop, report=report, wait=wait)
         return ImageSource((_frame(pixels, size_hw) for pixels in frames), rate_hz)
-    if not _exists(path):
+    if not exists:
         before, _, after = source.rpartition("@")  # an address without its scheme has a password, too
         shown = in_one_line(f"***@{after}" if ":" in before else source)
         raise SourceError(
@@ -96,13 +93,6 @@ def open_source(
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageSource(_images(image_paths(path), size_hw, loop, report), IMAGE_RATE_HZ)
     return _video(path, size_hw, loop)
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except OSError:  # a name that is too long, a folder without access permission
-        return False
 
 
 def _devices() -> str:
@@ -118,9 +108,9 @@ def _synthetic(seed: int, size_hw: tuple[int, int], with_depth: bool) -> ImageSo
     space = SceneDepth(seed, scene) if with_depth else None
 
     def frame(index: int) -> SourceFrame:
-        pixels, truth = scene.frame(index)
+        pixels, _ = scene.frame(index)
         depth = space.frame(index) if space else None
-        return SourceFrame(ColourImage(pixels, "rgb"), truth, scene.shapes(index), depth)
+        return SourceFrame(ColourImage(pixels, "rgb"), scene.shapes(index), depth)
 
     return ImageSource(map(frame, itertools.count()), IMAGE_RATE_HZ)
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from support.many_recordings import plan_for
 
-from yolov5_lifecycle.atomic_file import OutputError
+from yolov5_lifecycle.atomic_file import OutputError, hold, open_itself
 from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
 from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult
@@ -24,7 +24,6 @@ from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_co
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.offline.terminal import Terminal, report
 from yolov5_lifecycle.process.environment import compute_threads
-from yolov5_lifecycle.unfinished import hold, open_itself
 
 PATIENCE_S = 60.0
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]

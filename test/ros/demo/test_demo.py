@@ -25,9 +25,7 @@ from vision_msgs.msg import (
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.command import main
-from yolov5_lifecycle.ros.demo.ground_truth import matched
-from yolov5_lifecycle.ros.demo.one_camera import mask_ious
-from yolov5_lifecycle.ros.demo.several_cameras import figures, side_by_side
+from yolov5_lifecycle.ros.demo.demonstrations import figures, mask_ious, matched, side_by_side
 from yolov5_lifecycle.ros.demo.stage import saved
 from yolov5_lifecycle.ros.messages import image_message
 from yolov5_lifecycle.ros.observer import PATIENCE_S

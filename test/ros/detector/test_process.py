@@ -27,7 +27,7 @@ from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.quantization.calibration_file import path_beside, read_calibration, write_calibration
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.demo.ground_truth import matched
+from yolov5_lifecycle.ros.demo.demonstrations import matched
 from yolov5_lifecycle.ros.detector.command import FINALIZED_S
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import PATIENCE_S

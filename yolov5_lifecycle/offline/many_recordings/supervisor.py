@@ -12,7 +12,13 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock
 
-from yolov5_lifecycle.atomic_file import OutputError, has_unfinished_outputs
+from yolov5_lifecycle.atomic_file import (
+    OutputError,
+    has_unfinished_outputs,
+    hold,
+    open_itself,
+    remove_abandoned_folders,
+)
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, finished_before
 from yolov5_lifecycle.offline.many_recordings.summary import Batch, check_summary, write_summary
@@ -20,7 +26,6 @@ from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images
 from yolov5_lifecycle.printable import is_utf8
-from yolov5_lifecycle.unfinished import hold, open_itself, remove_abandoned_folders
 
 MAX_DEATHS = 2
 """Workers that may die at one recording, or one in a row while it loads the model."""

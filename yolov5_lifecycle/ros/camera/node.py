@@ -50,8 +50,7 @@ class CameraNode(PrintableNode):
         if not self._settings.loop:
             self.get_logger().info(f"waiting for a subscriber to {self._outputs.topics}")
         self._stop = threading.Event()
-        self._source_rate_hz: float | None = None
-        self._size_hw: tuple[int, int] | None = None
+        self._rate = ""
         self.playback = Playback(
             self._open,
             self._show,
@@ -76,24 +75,17 @@ class CameraNode(PrintableNode):
             report=self.get_logger().warning,
             wait=self._stop.wait,
         )
-        self._source_rate_hz = source.rate_hz
+        rate_hz = self._settings.rate or source.rate_hz
+        self._rate = f"at {rate_hz:g} images per second" if rate_hz else "at the rate of the source"
         return source
 
     def _show(self, frame: SourceFrame) -> None:
         self._outputs.publish(frame)
-        if frame.image.size_hw != self._size_hw:
-            self._report_size(frame.image.size_hw)
+        height, width = frame.image.size_hw
+        shown = f"{width} x {height} ({self._settings.encoding}) {self._rate}"
+        self.get_logger().info(f"publishing {shown} on {self._outputs.topics}", once=True)
         if not self._settings.loop:
             self._outputs.wait_until_delivered(_DELIVERY_S)
-
-    def _report_size(self, size_hw: tuple[int, int]) -> None:
-        """Log size, rate and topics at the start and whenever the size changes."""
-        rate_hz = self._settings.rate or self._source_rate_hz
-        rate = f"at {rate_hz:g} images per second" if rate_hz else "at the rate of the source"
-        kind = self._settings.encoding if self._size_hw is None else "size changed"
-        self._size_hw = size_hw
-        shown = f"{size_hw[1]} x {size_hw[0]} ({kind})"
-        self.get_logger().info(f"publishing {shown} {rate} on {self._outputs.topics}")
 
 
 def main(args: Sequence[str] | None = None) -> NoReturn:

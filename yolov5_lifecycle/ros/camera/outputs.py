@@ -19,7 +19,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.ros.camera.settings import CameraSettings, Transport
+from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.messages import (
     compressed_image_message,
     detection_3d_array_message,
@@ -28,7 +28,7 @@ from yolov5_lifecycle.ros.messages import (
 )
 from yolov5_lifecycle.sources.camera_info import CameraInfoValues
 from yolov5_lifecycle.sources.frames import SourceError, SourceFrame
-from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth, label_image
+from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth, label_image, truth_of
 from yolov5_lifecycle.sources.scene_depth import DepthFrame
 from yolov5_lifecycle.spatial.placement import Box3D
 
@@ -46,12 +46,9 @@ def jpeg_message(image: ColourImage, encoding: str, header: Header) -> Compresse
     return compressed_image_message(jpeg, encoding, header)
 
 
-_RAW = ("", Image, raw_message)
-_COMPRESSED = ("/compressed", CompressedImage, jpeg_message)
-_FORMS: dict[Transport, list[tuple[str, type, Callable[[ColourImage, str, Header], Any]]]] = {
-    "raw": [_RAW],
-    "compressed": [_COMPRESSED],
-    "both": [_RAW, _COMPRESSED],
+_FORMS: dict[str, tuple[str, type, Callable[[ColourImage, str, Header], Any]]] = {
+    "raw": ("", Image, raw_message),
+    "compressed": ("/compressed", CompressedImage, jpeg_message),
 }
 """Topic suffix, message type, and the function that creates the message."""
 
@@ -77,7 +74,8 @@ class CameraOutputs:
         offered = _RELIABILITIES[settings.reliability]
         self._images = [
             (_publisher(node, message_type, f"{topic}{suffix}", reliability=offered), message)
-            for suffix, message_type, message in _FORMS[settings.image_transport]
+            for form, (suffix, message_type, message) in _FORMS.items()
+            if settings.image_transport in (form, "both")
         ]
         folder = topic.rpartition("/")[0]
         latched = DurabilityPolicy.TRANSIENT_LOCAL  # late subscribers get the last one
@@ -111,8 +109,8 @@ class CameraOutputs:
         header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=self._settings.frame_id)
         known = self._camera_info if frame.depth is None else frame.depth.camera_info
         info = camera_info_message(header, frame.image.size_hw, known)
-        if frame.truth is not None:
-            self._publish_scene(frame, frame.truth, info)
+        if frame.shapes:
+            self._publish_scene(frame, info)
         for publisher, message in self._images:
             if publisher.get_subscription_count():
                 publisher.publish(message(frame.image, self._settings.encoding, header))
@@ -126,7 +124,8 @@ class CameraOutputs:
             left_s = max(0.0, deadline_s - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left_s))
 
-    def _publish_scene(self, frame: SourceFrame, truth: Truth, info: CameraInfo) -> None:
+    def _publish_scene(self, frame: SourceFrame, info: CameraInfo) -> None:
+        truth = truth_of(frame.shapes, frame.image.size_hw)
         truths = detection_array(_certain(truth), CLASS_NAMES, info.header)
         if self._truths.get_subscription_count():
             self._truths.publish(truths)

@@ -18,8 +18,6 @@ from yolov5_lifecycle.settings.synonyms import QOS_PREFIX
 from yolov5_lifecycle.sources.camera_info import CameraInfoValues, read_camera_info
 from yolov5_lifecycle.sources.source import SYNTHETIC
 
-Transport = Literal["raw", "compressed", "both"]
-
 
 class CameraSettings(BaseModel):
     """A valid configuration of the camera, fixed at startup."""
@@ -55,7 +53,7 @@ class CameraSettings(BaseModel):
         description="Also publish depth images of the synthetic scene, on depth/image_raw and "
         "depth/camera_info, and the places of its shapes in space, on ~/ground_truth_3d.",
     )
-    image_transport: Annotated[Transport, Change.READ_ONLY] = Field(
+    image_transport: Annotated[Literal["raw", "compressed", "both"], Change.READ_ONLY] = Field(
         "raw", description="raw: on image_raw. compressed: as JPEG on image_raw/compressed. both: on both."
     )
     encoding: Annotated[Literal["rgb8", "bgr8", "mono8", "rgba8", "bgra8"], Change.READ_ONLY] = Field(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.printable import in_report
 from yolov5_lifecycle.ros.console.options import DEFAULT_PORT
-from yolov5_lifecycle.ros.demo import one_camera, several_cameras
+from yolov5_lifecycle.ros.demo.demonstrations import ONE_CAMERA, TWO_CAMERAS, one_camera, two_cameras
 from yolov5_lifecycle.ros.demo.stage import OUTPUT, DemonstrationError, Report, show_live, stage
 
 
@@ -38,11 +38,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(given: argparse.Namespace, report: Report) -> str:
     """The summary of the demonstration; "" for one that a user watched."""
     if given.console:
-        detector = f"{one_camera.COMMANDS['detector']} -p autostart:=true"
-        show_live({**one_camera.COMMANDS, "detector": detector}, port=given.port, report=report)
+        detector = f"{ONE_CAMERA['detector']} -p autostart:=true"
+        show_live({**ONE_CAMERA, "detector": detector}, port=given.port, report=report)
         return ""
-    with stage(several_cameras.COMMANDS if given.cameras else one_camera.COMMANDS, report) as driven:
-        return several_cameras.demonstrate(driven) if given.cameras else one_camera.OneCamera(driven).run()
+    commands, demonstrate = (TWO_CAMERAS, two_cameras) if given.cameras else (ONE_CAMERA, one_camera)
+    with stage(commands, report) as driven:
+        return demonstrate(driven)
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:

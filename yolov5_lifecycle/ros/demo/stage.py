@@ -19,11 +19,12 @@ from sensor_msgs.msg import Image
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
 from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
-from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer, RemoteLifecycleNode
 
 OUTPUT = Path("build/demo")
 DETECTOR = "/yolov5"
 CONFIG = resolve_package("package://yolov5_lifecycle/config")
+_KEPT, _KEPT_IMAGES = 1000, 50
 
 Commands = Mapping[str, str]
 """Command lines as in a shell, by the names of their processes; the last one is that of the detector."""
@@ -63,9 +64,10 @@ class Stage:
         if refusal := self.node.set_parameters(**values):
             raise DemonstrationError(f"setting {values} was refused: {refusal}")
 
-    def collect(self, message_type: Any, topic: str, *, kept: int = 1000) -> Received:
+    def collect(self, message_type: Any, topic: str) -> Received:
         """What comes on `topic` until it is released."""
         received: Received = {}
+        kept = _KEPT_IMAGES if message_type is Image else _KEPT
 
         def take(message: Any) -> None:
             stamp = stamp_ns(message.header)
@@ -82,21 +84,36 @@ class Stage:
         for topic in topics:
             self.observer.destroy_subscription(self._subscriptions.pop(topic))
 
-    def annotated_image(self, topic: str, shown: Received, count: int) -> NDArray[np.uint8]:
-        """A coming image (H, W, 3) in BGR on `topic` for which a message in `shown` has `count` objects.
+    def frames(
+        self, count: int, *received: Received, since_ns: int | None = None
+    ) -> dict[int, tuple[Any, ...]]:
+        """What `received` have of the same images, by stamp, at least `count` of them.
+
+        Only images that are stamped after `since_ns`, by default after this call.
+        """
+        begun_ns = time.time_ns() if since_ns is None else since_ns
+
+        def frames() -> dict[int, tuple[Any, ...]]:
+            stamps = sorted(stamp for stamp in set.intersection(*map(set, received)) if stamp > begun_ns)
+            return {stamp: tuple(messages[stamp] for messages in received) for stamp in stamps}
+
+        self.observer.wait_for(
+            lambda: len(frames()) >= count,
+            f"{count} images with messages on all of {', '.join(self._subscriptions)}",
+            timeout_s=PATIENCE_S + count,
+        )
+        return frames()
+
+    def annotated_image(self, topic: str, shown: Received) -> NDArray[np.uint8]:
+        """Of five coming images (H, W, 3) in BGR on `topic` that with the most objects in `shown`.
 
         Not the first one, which may have been detected before it was known that masks would be drawn.
         """
-        images = self.collect(Image, topic, kept=20)
-
-        def wanted() -> list[Image]:
-            first_ns, frames = min(images, default=0), together(images, shown)
-            later = [messages for stamp_ns, messages in frames.items() if stamp_ns > first_ns]
-            return [image for image, message in later if len(message.detections) >= count]
-
-        self.observer.wait_for(lambda: bool(wanted()), f"an image on {topic} of {count} objects")
+        images = self.collect(Image, topic)
+        _, *later = self.frames(6, images, shown).values()
         self.release(topic)
-        image = image_of_message(wanted()[0])
+        best, _ = max(later, key=lambda messages: len(messages[1].detections))
+        image = image_of_message(best)
         return image.pixels if image.order == "bgr" else image.pixels[..., ::-1]
 
     def check(self, is_right: bool, found: str, expected: str) -> None:
@@ -183,12 +200,6 @@ def started(commands: Commands) -> Iterator[list[ChildProcess]]:
         for process in reversed(processes):
             if code := process.stop():
                 raise RuntimeError(f"the {process.name} ended with exit code {code} instead of 0")
-
-
-def together(*received: Received) -> dict[int, tuple[Any, ...]]:
-    """The messages of those stamps that all of `received` have, in order."""
-    stamps = sorted(set.intersection(*map(set, received)))
-    return {stamp: tuple(messages[stamp] for messages in received) for stamp in stamps}
 
 
 def saved(pixels_bgr: NDArray[np.uint8], name: str) -> Path:

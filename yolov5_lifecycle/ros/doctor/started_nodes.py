@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import statistics
 import subprocess
 import sys
@@ -11,11 +10,11 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
+from yolov5_lifecycle.atomic_file import temporary_folder
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.printable import in_one_line
@@ -24,14 +23,12 @@ from yolov5_lifecycle.ros.doctor.environment import PROFILE
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
-from yolov5_lifecycle.unfinished import temporary_folder
 
 _WIDTH, _HEIGHT = 1280, 720
 _RATE_HZ = 15.0
 _WATCHED_S = 4.0
 _DISCOVERY_S = 20.0
 _FEW_LOST = 0.05
-_SEGMENT = re.compile(r"/dev/shm/(fastrtps_[0-9a-f]+)$", re.MULTILINE)
 
 
 @dataclass
@@ -40,7 +37,6 @@ class Arrivals:
 
     numbers: list[int] = field(default_factory=list)
     latencies_ms: list[float] = field(default_factory=list)
-    has_shared_memory: bool = False
 
     def take(self, message: Image, info: Mapping[str, int | None]) -> None:
         """Count an image; one without a number is counted as the next."""
@@ -56,10 +52,9 @@ class Arrivals:
 
     def __str__(self) -> str:
         rate_hz = len(self.numbers) / _WATCHED_S
-        memory = "through shared memory" if self.has_shared_memory else "without shared memory"
         return (
             f"{self.lost:.0%} of the images of {_WIDTH}x{_HEIGHT} lost, {rate_hz:.1f} of {_RATE_HZ:g} Hz "
-            f"received, {statistics.median(self.latencies_ms):.1f} ms each, {memory}"
+            f"received, {statistics.median(self.latencies_ms):.1f} ms each"
         )
 
 
@@ -105,13 +100,7 @@ def _watched() -> Arrivals:
             with suppress(TimeoutError):
                 observer.wait_for(lambda: bool(arrivals.numbers), "an image", timeout_s=_DISCOVERY_S)
                 observer.work_for(_WATCHED_S)
-            arrivals.has_shared_memory = has_foreign_segment(Path("/proc/self/maps").read_text())
     return arrivals
-
-
-def has_foreign_segment(maps: str) -> bool:
-    """Whether a process with the memory map `maps` has a segment of Fast DDS besides its own."""
-    return len(set(_SEGMENT.findall(maps))) > 1
 
 
 def _life(_: Machine) -> Iterator[Finding]:
