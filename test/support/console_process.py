@@ -176,9 +176,10 @@ class Page:
         if message["type"] == "node":
             self.nodes[message["node"]["name"]] = message["node"]
         elif message["type"] == "gone":
-            self.nodes.pop(message["name"], None)
-            self.gone.append(message["name"])
-            self.lost[message["name"]] = message["node"]
+            name = message["node"]["name"]
+            self.nodes.pop(name, None)
+            self.gone.append(name)
+            self.lost[name] = message["node"]
         elif message["type"] == "answer":
             self.answers[message["id"]] = message
         return message

@@ -249,16 +249,16 @@ def test_a_detector_that_is_gone_is_shown_as_the_console_tells_it(screen: Chrome
     page = opened_page(screen, console_url, ACTIVE)
     page.wait_for_state("active")
     node = node_sent(screen, ACTIVE)
-    gone = {**node, "state": "lost", "last_state": "active", "transitions": [], "class_names": ["late"]}
+    gone = node | {"class_names": ["late"]}
     gone["log"] = [{"stamp_s": 1, "level": "error", "text": "first\n  second\nthird"}]
-    deliver(screen, type="gone", name=ACTIVE, node=gone)
+    deliver(screen, type="gone", node=gone)
     assert page.state == "lost"
     assert "Its last state was active." in page.text(".notice.error")
     assert page.find_all('[data-condition="ok"]') == page.find_all("[data-transition]") == []
     assert page.text(".log .text").split("\n") == ["first", "  second", "third"]
     chips = page.parameter("classes").find_elements(By.CSS_SELECTOR, ".chip")
     assert [chip.text for chip in chips] == ["late"]
-    deliver(screen, type="gone", name="/brief", node={**gone, "name": "/brief"})  # was never sent before
+    deliver(screen, type="gone", node={**gone, "name": "/brief"})  # was never sent before
     tab = screen.find_element(By.CSS_SELECTOR, f'nav a[href="#{quote("/brief", safe="")}"]')
     assert tab.text.endswith("lost")
 

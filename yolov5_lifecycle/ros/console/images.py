@@ -15,7 +15,6 @@ from sensor_msgs.msg import CompressedImage
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.frames import CloseCode
 
-from yolov5_lifecycle.ros.console.budget import Budget
 from yolov5_lifecycle.ros.console.detector import Detector
 from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, of_camera
@@ -25,8 +24,6 @@ _MAX_IMAGE_BYTES = 64 * 1024 * 1024
 """Larger ones are not shown; the largest image that a detector accepts has 67 million pixels."""
 _STAMP = struct.Struct("<d")
 _TAKEN = "taken"
-_MESSAGES_PER_S = 120.0
-_MESSAGES = 240
 _UNKNOWN = 4404
 
 
@@ -110,7 +107,6 @@ class _Viewer:
     def __init__(self, websocket: WebSocket, feed: _Feed) -> None:
         self._websocket = websocket
         self._feed = feed
-        self._budget = Budget(_MESSAGES_PER_S, _MESSAGES)
         self._has_taken = True
         self._sent = b""
         self._sending: asyncio.Task[None] | None = None
@@ -129,7 +125,7 @@ class _Viewer:
 
     async def _receive(self) -> None:
         while (message := await self._websocket.receive())["type"] != "websocket.disconnect":
-            if message.get("text") != _TAKEN or not self._budget.spend():
+            if message.get("text") != _TAKEN or self._has_taken:
                 await self._websocket.close(
                     CloseCode.POLICY_VIOLATION, f"expected '{_TAKEN}' after each image"
                 )

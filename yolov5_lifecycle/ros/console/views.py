@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
@@ -38,10 +38,6 @@ class StatusView:
     level: int
     message: str
     values: dict[str, str]
-
-    def as_json(self, *, is_lost: bool) -> dict[str, object]:
-        """For the page; of a lost detector, of which no more come, it is stale."""
-        return asdict(replace(self, level=STALE) if is_lost else self)
 
     def number(self, key: str) -> float | None:
         """The value of `key` as a finite number; None if it has none."""
@@ -87,18 +83,15 @@ def cameras_of(names: Sequence[str], statuses: Sequence[StatusView]) -> list[tup
     return [(name, by_name.get(name or NODE_STATUS)) for name in names or [""]]
 
 
-def camera_as_json(name: str, status: StatusView | None, *, is_lost: bool) -> dict[str, object]:
-    """What the page shows of a camera; of one of a lost detector, no figures."""
-    shown = None if is_lost else status
-    message = "" if shown is None or shown.message == _NOTHING_TO_TELL else shown.message
+def camera_as_json(name: str, status: StatusView | None) -> dict[str, object]:
+    """What the page shows of a camera."""
     return {
         "name": name,
-        "rate_hz": shown and shown.number("rate Hz"),
-        "latency_ms": shown and shown.number("latency median ms"),
-        "latency_p95_ms": shown and shown.number("latency p95 ms"),
-        "balance": status.balance if status else {},
-        "message": message,
-        "level": STALE if is_lost else shown.level if shown else 0,
+        "rate_hz": status and status.number("rate Hz"),
+        "latency_ms": status and status.number("latency median ms"),
+        "latency_p95_ms": status and status.number("latency p95 ms"),
+        "message": "" if status is None or status.message == _NOTHING_TO_TELL else status.message,
+        "level": status.level if status else 0,
     }
 
 

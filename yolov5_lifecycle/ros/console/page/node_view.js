@@ -59,8 +59,8 @@ export class NodeView {
 
   /** The detector has left: its last values stay, as they may show why. */
   setGone() {
-    this.#setGone(true);
     this.lose();
+    this.#setGone(true);
   }
 
   /** Nothing is heard of the detector until `update`: what is shown is not current. */
@@ -101,7 +101,7 @@ export class NodeView {
   #setGone(isGone) {
     this.isGone = isGone;
     this.#gone.hidden = !isGone;
-    const last = isGone ? `Its last state was ${this.#node.last_state}. ` : "";
+    const last = isGone ? `Its last state was ${this.#node.lastState}. ` : "";
     const gone =
       `${this.name} is lost, because its process has ended or cannot be reached. ${last}The values shown are old; ` +
       "the page continues automatically when the detector is back.";

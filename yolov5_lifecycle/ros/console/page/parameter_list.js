@@ -9,7 +9,7 @@ const GROUPS = [
   ["reload", "Reload", "loads the new model while the running one keeps detecting"],
   ["resubscribe", "Resubscribe", "recreates the subscriptions concerned"],
   ["configure", "Configure", "fixed by configure: clean up first"],
-  ["read only", "Read only", "needs a restart of the node"],
+  ["read_only", "Read only", "needs a restart of the node"],
 ];
 const OPEN = ["live"];
 
@@ -94,7 +94,7 @@ class ParameterGroup {
 
   update(node) {
     this.#node = node;
-    const own = node.parameters.filter((parameter) => groupOf(parameter) === this.#change);
+    const own = node.parameters.filter((parameter) => parameter.change === this.#change);
     this.#rows.update(own, (parameter) => parameter.name);
     const changed = this.#rows.views.filter((row) => row.isChanged).length;
     setText(this.#count, `${own.length}${changed ? `, ${changed} changed` : ""}`);
@@ -117,13 +117,6 @@ class ParameterGroup {
     }
     return shown;
   }
-}
-
-function groupOf(parameter) {
-  if (parameter.read_only) {
-    return "read only";
-  }
-  return GROUPS.some(([change]) => change === parameter.change) ? parameter.change : "live";
 }
 
 /** A form that gives one camera its own value of a parameter. */

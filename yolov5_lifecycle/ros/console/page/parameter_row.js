@@ -58,7 +58,7 @@ export class ParameterRow {
     this.#parameter = parameter;
     setText(this.#meaning, parameter.description);
     this.#meaning.title = parameter.constraints;
-    const isFixed = this.#context.isViewOnly || parameter.read_only;
+    const isFixed = this.#context.isViewOnly || parameter.change === "read_only";
     const kind = widgetKind(parameter, isFixed);
     if (kind !== this.#kind) {
       this.#kind = kind;
