@@ -89,12 +89,12 @@ class ConsoleClient:
     def logged_in(self, token: str) -> ConsoleClient:
         """The same browser with a session."""
         reply = self.log_in(token)
-        assert reply.headers["location"] == "/", reply
+        assert reply.status == 204, reply
         return ConsoleClient(self.url, reply.headers["set-cookie"].partition(";")[0])
 
     def log_in(self, token: str, **headers: str) -> Reply:
-        form = {"Content-Type": "application/x-www-form-urlencoded", "Origin": self.origin} | headers
-        return self.request("POST", "/login", headers=form, body=urlencode({"token": token}))
+        own = {"Authorization": f"Bearer {token}", "Origin": self.origin} | headers
+        return self.request("POST", "/login", headers=own)
 
     def socket(self, path: str, *, headers: Mapping[str, str] | None = None) -> ClientConnection:
         """An open WebSocket."""

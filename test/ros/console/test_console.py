@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from lifecycle_msgs.msg import State, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import Log, ParameterEvent
 from rclpy.duration import Duration
@@ -62,7 +61,7 @@ def console_beside_node(*words: str, parameters: tuple[str, ...] = ()) -> Iterat
 
 @pytest.fixture(scope="module")
 def console() -> Iterator[ConsoleBesideNode]:
-    with console_beside_node("--metrics") as beside:
+    with console_beside_node() as beside:
         yield beside
 
 
@@ -105,8 +104,9 @@ def test_a_page_is_welcomed_and_told_of_each_detector_and_no_other_node(
 def test_metrics_have_the_figures_of_the_diagnostics(console: ConsoleBesideNode, page: Page) -> None:
     text = console.client.request("GET", "/metrics").body
     assert f'yolov5_state{{node="{NODE}",state="unconfigured"}} 1.0' in text
-    assert f'yolov5_frames_total{{camera="",node="{NODE}",outcome="detected"}} 0.0' in text
-    assert "yolov5_resident_memory_megabytes{" in text
+    assert f'yolov5_status_level{{node="{NODE}",status="detection"}} ' in text
+    assert f'yolov5_diagnostics{{key="frames detected",node="{NODE}",status="detection"}} 0.0' in text
+    assert 'key="state"' not in text
 
 
 def test_transitions_are_followed_and_change_what_is_possible(console: ConsoleBesideNode, page: Page) -> None:
@@ -332,7 +332,6 @@ FALSE_MESSAGES = {
     "long-status": ("/diagnostics", diagnostics(message=LARGE)),
     "many-values": ("/diagnostics", diagnostics(values=[KeyValue(key="a", value="b")] * MANY)),
     "many-classes": (f"{NODE}/label_info", LabelInfo(class_map=[VisionClass(class_name="a")] * MANY)),
-    "transition": (f"{NODE}/transition_event", TransitionEvent(goal_state=State(label=LARGE))),
 }
 FLOODS = {
     "events": ("/parameter_events", event("max_rate", 9.0)),

@@ -16,13 +16,14 @@ from support.served_node import PATIENCE_S, ServedNode
 from yolov5_lifecycle.ros.console import detector
 from yolov5_lifecycle.ros.console.detector import Detector
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
+from yolov5_lifecycle.ros.console.views import LogView
 
 
 class HeldDetector(Detector):
     """Takes an answer about parameters once `gate` is open; `is_answered`: one is on its way."""
 
     def __init__(self, ros: RosThread, **options: Any) -> None:
-        super().__init__(ros, NODE, **options)
+        super().__init__(ros, NODE, log=LogView(), publishers=frozenset(), **options)
         self.gate = asyncio.Event()
         self.gate.set()
         self.is_answered = asyncio.Event()
@@ -40,9 +41,8 @@ class KnownDetector:
 
     def __init__(self, served: ServedNode, ros: RosThread) -> None:
         self.served = served
-        self.now_s = 0.0
         self._changed = asyncio.Event()
-        self.detector = HeldDetector(ros, on_change=lambda _: self._changed.set(), clock=lambda: self.now_s)
+        self.detector = HeldDetector(ros, on_change=lambda _: self._changed.set())
 
     async def set(self, name: str, value: float) -> None:
         """Set the parameter in the node; the event that tells it does not arrive."""
@@ -71,7 +71,7 @@ def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) ->
             await act(known)
         finally:
             await known.detector.close()
-            assert ros.stop()
+            ros.stop()
 
     with lone_node("console") as node:
         asyncio.run(played(node))

@@ -28,20 +28,12 @@ TYPES = {bool: "bool", int: "integer", float: "double", str: "string", tuple: "s
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "balance"),
-    [
-        pytest.param("frames detected", "9" * 18, {"detected": 10**18 - 1}, id="18 digits"),
-        pytest.param("frames detected", "9" * 19, {}, id="19 digits"),
-        pytest.param("frames detected", "-1", {}, id="negative"),
-        pytest.param("frames detected", "١٢", {}, id="digits of another script"),
-        pytest.param("frames lost", "3", {}, id="sent but not received"),
-        pytest.param("rate Hz", "3", {}, id="no number of frames"),
-    ],
+    ("value", "number"), [("1.5", 1.5), ("", None), ("many", None), ("inf", None), ("1e999", None)]
 )
-def test_the_balance_has_the_numbers_of_frames(key: str, value: str, balance: dict[str, int]) -> None:
-    status = DiagnosticStatus(name="yolov5: front", values=[KeyValue(key=key, value=value)])
+def test_a_value_is_a_finite_number_or_none(value: str, number: float | None) -> None:
+    status = DiagnosticStatus(name="yolov5: front", values=[KeyValue(key="rate Hz", value=value)])
     (view,) = statuses_of(DiagnosticArray(status=[status]))
-    assert view.balance == balance
+    assert (view.number("rate Hz"), view.number("other")) == (number, None)
 
 
 def test_the_statuses_of_one_node_are_shown() -> None:

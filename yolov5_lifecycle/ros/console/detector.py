@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from typing import Any
 
-from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -23,14 +23,13 @@ from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
     camera_as_json,
-    cameras_of,
     class_names_of,
 )
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.camera_names import NODE_STATUS, usable_names
 from yolov5_lifecycle.settings.settings import SCHEMA
 
-SILENCE_S = 5.0
+_SILENCE_S = 5.0
 """A detector that sends no diagnostics (usually one per second) for longer than this is gone."""
 SERVICES = {
     "get_state": GetState,
@@ -72,21 +71,19 @@ class Detector:
         name: str,
         *,
         on_change: Callable[[Detector], object],
-        log: LogView | None = None,
-        publishers: frozenset[bytes] = frozenset(),
-        clock: Callable[[], float] = time.monotonic,
+        log: LogView,
+        publishers: frozenset[bytes],
     ) -> None:
         self.name = name
         self.publishers = publishers
         self.state = ""
-        self.statuses: list[StatusView] = []
-        """The last diagnostics."""
-        self.log = LogView() if log is None else log
+        self.statuses: dict[str, StatusView] = {}
+        """The last diagnostics by name."""
+        self.log = log
         self._ros = ros
         self._on_change = on_change
-        self._clock = clock
         self._clients: dict[str, Any] = {}
-        self._subscriptions: list[Any] = []
+        self._labels: Any = None
         self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._transitions: list[str] = []
         self._parameters: dict[str, dict[str, object]] = {}
@@ -109,19 +106,16 @@ class Detector:
             await self._ros.run(self._destroy)
 
     def _create(self) -> None:
-        create_client, subscribe = self._ros.node.create_client, self._ros.node.create_subscription
+        node = self._ros.node
         for service, kind in SERVICES.items():
-            self._clients[service] = create_client(kind, f"{self.name}/{service}")
-        transitions = Mailbox[TransitionEvent](self._ros, lambda _: self.ask_soon())
+            self._clients[service] = node.create_client(kind, f"{self.name}/{service}")
         labels = Mailbox(self._ros, self._take_labels)
-        self._subscriptions = [
-            subscribe(TransitionEvent, f"{self.name}/transition_event", transitions.put, 10),
-            subscribe(LabelInfo, f"{self.name}/label_info", labels.put, _LATCHED),
-        ]
+        topic = f"{self.name}/label_info"
+        self._labels = node.create_subscription(LabelInfo, topic, labels.put, _LATCHED)
 
     def _destroy(self) -> None:
-        for subscription in self._subscriptions:
-            self._ros.node.destroy_subscription(subscription)
+        if self._labels is not None:
+            self._ros.node.destroy_subscription(self._labels)
         for client in self._clients.values():
             self._ros.node.destroy_client(client)
 
@@ -133,7 +127,7 @@ class Detector:
     @property
     def is_silent(self) -> bool:
         """Whether its diagnostics have stopped."""
-        return self._heard_s is not None and self._clock() - self._heard_s > SILENCE_S
+        return self._heard_s is not None and time.monotonic() - self._heard_s > _SILENCE_S
 
     @property
     def camera_names(self) -> tuple[str, ...]:
@@ -141,24 +135,20 @@ class Detector:
         return usable_names(self._parameters.get("cameras", {}).get("value"))
 
     @property
-    def cameras(self) -> list[tuple[str, StatusView | None]]:
-        """Names of the cameras with their last diagnostics."""
-        return cameras_of(self.camera_names, self.statuses)
-
-    @property
     def status(self) -> StatusView | None:
         """The last diagnostics of the node as a whole."""
-        return next((status for status in self.statuses if status.name == NODE_STATUS), None)
+        return self.statuses.get(NODE_STATUS)
 
     def as_json(self) -> dict[str, object]:
         """Everything that the page shows of the detector."""
+        cameras = {name: self.statuses.get(name or NODE_STATUS) for name in self.camera_names or [""]}
         return {
             "name": self.name,
             "state": self.state,
             "transitions": self._transitions,
             "parameters": list(self._parameters.values()),
-            "cameras": [camera_as_json(*camera) for camera in self.cameras],
-            "diagnostics": [asdict(status) for status in self.statuses],
+            "cameras": [camera_as_json(*camera) for camera in cameras.items()],
+            "diagnostics": [asdict(status) for status in self.statuses.values()],
             "class_names": self._class_names,
             "log": self.log.as_json(),
         }
@@ -216,8 +206,8 @@ class Detector:
         self._on_change(self)
 
     def take_diagnostics(self, statuses: list[StatusView]) -> None:
-        self._heard_s = self._clock()
-        self.statuses = statuses
+        self._heard_s = time.monotonic()
+        self.statuses = {status.name: status for status in statuses}
         if self.status is not None and self.status.values.get("state", self.state) != self.state:
             self.ask_soon()
         self._on_change(self)
@@ -257,8 +247,8 @@ class Detector:
 
     async def _reason(self, count: int) -> str:
         """The problems that the node has logged since line number `count`; waits a little for them."""
-        end_s = self._clock() + _REASON_S
-        while self._clock() < end_s:
+        end_s = time.monotonic() + _REASON_S
+        while time.monotonic() < end_s:
             if texts := self.log.problems_since(count):
                 return "\n".join(texts[-3:])
             await asyncio.sleep(0.05)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log, ParameterEvent
@@ -21,7 +20,7 @@ from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
     line_of,
-    logger_name,
+    node_name,
     statuses_of,
 )
 
@@ -56,9 +55,8 @@ class Detectors:
         self._on_gone = on_gone
         self._candidates: dict[str, frozenset[bytes]] = {}
         self._followed: dict[str, Detector] = {}
-        self._by_logger: dict[str, Detector] = {}
         self._logs: OrderedDict[str, LogView] = OrderedDict()
-        """Of loggers that are of no detector that is followed."""
+        """Of nodes that are not followed, by name."""
         self._diagnostics = Mailbox(ros, self._take_diagnostics, size=_MAX_WAITING)
         self._lines = Mailbox(ros, self._take_line, size=_MAX_WAITING)
         self._changed_names = Mailbox(ros, self._take_event, size=_MAX_WAITING)
@@ -67,12 +65,6 @@ class Detectors:
     async def open(self) -> None:
         await self._ros.run(self._subscribe, self._ros.node)
         self._task = asyncio.create_task(self._follow())
-
-    async def close(self) -> None:
-        if self._task is not None:
-            self._task.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._task
 
     @property
     def known(self) -> list[Detector]:
@@ -110,10 +102,9 @@ class Detectors:
             )
 
     async def _begin(self, name: str) -> None:
-        log = self._logs.pop(logger_name(name), None)
-        publishers = self._candidates[name]
+        log, publishers = self._logs.pop(name, LogView()), self._candidates[name]
         detector = Detector(self._ros, name, on_change=self._changed, log=log, publishers=publishers)
-        self._followed[name] = self._by_logger[logger_name(name)] = detector
+        self._followed[name] = detector
         try:
             await detector.open()
         except NameValidationException as error:
@@ -121,8 +112,7 @@ class Detectors:
 
     async def _forget(self, detector: Detector) -> None:
         del self._followed[detector.name]
-        del self._by_logger[logger_name(detector.name)]
-        self._logs[logger_name(detector.name)] = detector.log
+        self._logs[detector.name] = detector.log
         if detector.is_known:
             self._on_gone(detector)
         await detector.close()
@@ -142,7 +132,7 @@ class Detectors:
             self._diagnostics.put((name, statuses_of(message)))
 
     def _hear_log(self, message: Log) -> None:
-        self._lines.put((in_one_line(message.name, _MAX_NAME), line_of(message)))
+        self._lines.put((node_name(in_one_line(message.name, _MAX_NAME)), line_of(message)))
 
     def _hear_event(self, message: ParameterEvent) -> None:
         if message.node in self._candidates:
@@ -154,13 +144,13 @@ class Detectors:
             self._followed[name].take_diagnostics(statuses)
 
     def _take_line(self, news: tuple[str, LogLine]) -> None:
-        logger, line = news
-        if detector := self._by_logger.get(logger):
+        name, line = news
+        if detector := self._followed.get(name):
             detector.log.add(line)
             self._changed(detector)
         else:
-            self._logs.setdefault(logger, LogView()).add(line)
-            self._logs.move_to_end(logger)
+            self._logs.setdefault(name, LogView()).add(line)
+            self._logs.move_to_end(name)
             if len(self._logs) > _MAX_LOGGERS:
                 self._logs.popitem(last=False)
 

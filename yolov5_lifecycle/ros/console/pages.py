@@ -23,6 +23,10 @@ _MAX_PENDING = 8
 """Requests of a page that are not answered yet, or whose answers it has not read."""
 _MAX_VALUES = 400
 _UPDATE_S = 0.25
+_EXPECTED = (
+    f"expected the type set with values, an object of 1 to {_MAX_VALUES} parameters, the type transition "
+    "with a label, or the type collect"
+)
 
 Find = Callable[[object], Detector | None]
 
@@ -114,7 +118,7 @@ class _Page:
                 await self._send(self._nodes.pop(next(iter(self._nodes))))
 
     async def _send(self, text: str) -> None:
-        """Returns once the client has taken most of what was sent before, or is gone: `_receive` ends then."""
+        """Returns once the client has taken most of what was sent; of a closed one, `_receive` ends, too."""
         with suppress(WebSocketDisconnect, RuntimeError):
             await self._websocket.send_text(text)
 
@@ -168,17 +172,14 @@ def _request(text: str | None) -> tuple[dict[str, Any], str]:
         request = json.loads(text or "", parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         return {}, "expected a JSON object"
-    if not isinstance(request, dict):
-        return {}, "expected a JSON object"
-    if request.get("type") == "set":
-        values = request.get("values")
-        if isinstance(values, dict) and 0 < len(values) <= _MAX_VALUES:
+    match request:
+        case {"type": "set", "values": dict(values)} if 0 < len(values) <= _MAX_VALUES:
             return request, ""
-        return request, f"expected values: an object of 1 to {_MAX_VALUES} parameters"
-    if request.get("type") == "transition":
-        return request, "" if isinstance(request.get("label"), str) else "expected label: a string"
-    is_known = request.get("type") == "collect"
-    return request, "" if is_known else "expected the type set, transition or collect"
+        case {"type": "transition", "label": str()} | {"type": "collect"}:
+            return request, ""
+        case dict():
+            return request, _EXPECTED
+    return {}, "expected a JSON object"
 
 
 def _refuse_constant(name: str) -> object:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -12,19 +11,14 @@ from rcl_interfaces.msg import Log
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS, NODE_STATUS
+from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 
-LOSSES = ("frames lost", "frames overtaken")
-"""Images that were sent but not received, so not part of the balance."""
 KEPT_LINES = 100
 STALE = 3
-_BALANCE = "frames "
 _MAX_NAME, _MAX_TEXT, _MAX_VALUES = 200, 5_000, 100
 _MAX_LINE = 4_000
 """Characters of a message of the log; a detector with one camera lists its settings in 2,500."""
 _MAX_CLASSES = 10_000
-_MAX_DIGITS = 18
-"""Of a number of frames; Python raises ValueError for thousands of them."""
 _NOTHING_TO_TELL = "detecting"
 _LEVELS = ((50, "fatal"), (40, "error"), (30, "warn"), (20, "info"))
 _PROBLEMS = ("warn", "error", "fatal")
@@ -47,15 +41,6 @@ class StatusView:
             return None
         return number if math.isfinite(number) else None
 
-    @property
-    def balance(self) -> dict[str, int]:
-        """Number of frames by outcome; `received` is their sum."""
-        return {
-            key.removeprefix(_BALANCE): int(value)
-            for key, value in self.values.items()
-            if key.startswith(_BALANCE) and key not in LOSSES and _is_count(value)
-        }
-
 
 def statuses_of(message: DiagnosticArray) -> list[StatusView]:
     """The statuses of the node that sent the first one, at most as many as a detector has."""
@@ -71,16 +56,6 @@ def _status(status: DiagnosticStatus) -> StatusView:
     name = in_one_line(status.name.rpartition(": ")[2], _MAX_NAME)
     level = min(int.from_bytes(status.level, "little"), STALE)
     return StatusView(name, level, in_lines(status.message, _MAX_TEXT), values)
-
-
-def _is_count(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
-
-
-def cameras_of(names: Sequence[str], statuses: Sequence[StatusView]) -> list[tuple[str, StatusView | None]]:
-    """The cameras called `names` with their status, None if unknown; without names, the only camera as ""."""
-    by_name = {status.name: status for status in statuses}
-    return [(name, by_name.get(name or NODE_STATUS)) for name in names or [""]]
 
 
 def camera_as_json(name: str, status: StatusView | None) -> dict[str, object]:
@@ -136,6 +111,6 @@ class LogView:
         return [asdict(line) for line in self._lines]
 
 
-def logger_name(node_name: str) -> str:
-    """Name of the logger of the node with the full name `node_name`: `robot.yolov5` for `/robot/yolov5`."""
-    return node_name.removeprefix("/").replace("/", ".")
+def node_name(logger: str) -> str:
+    """Full name of the node with that `logger`: `/robot/yolov5` for `robot.yolov5`."""
+    return f"/{logger.replace('.', '/')}"

@@ -2,12 +2,11 @@
 
 import { CameraViews } from "./camera_view.js";
 import { asLost, conditionCalled, LOST, summaryOf } from "./condition.js";
-import { DiagnosticsView, FrameBalance, LogView } from "./diagnostics_view.js";
+import { DiagnosticsView, LogView } from "./diagnostics_view.js";
 import { element, setText } from "./element.js";
 import { HistoryView } from "./history_view.js";
 import { ParameterList } from "./parameter_list.js";
 import { ReasonView, StateView } from "./state_view.js";
-import { UndoBar } from "./undo_bar.js";
 
 export class NodeView {
   isGone = false;
@@ -17,24 +16,19 @@ export class NodeView {
   #gone = element("p", { class: "notice error", role: "alert", hidden: true });
   #parts;
   #cameras;
-  #parameters;
   #history = new HistoryView();
-  #undo;
 
   constructor(name, connection, isViewOnly) {
     this.name = name;
     this.isViewOnly = isViewOnly;
     const request = (message) => connection.request({ node: name, ...message });
     this.#cameras = new CameraViews(name, request, isViewOnly);
-    this.#undo = new UndoBar(request, (changed, value) => this.#parameters.restore(changed, value));
-    this.#parameters = new ParameterList(request, this.#undo, isViewOnly);
     this.#parts = [
       new StateView(name, request, isViewOnly),
       new ReasonView(),
       this.#cameras,
-      this.#parameters,
+      new ParameterList(request, isViewOnly),
       this.#history,
-      new FrameBalance(),
       new DiagnosticsView(),
       new LogView(),
     ];
@@ -43,7 +37,6 @@ export class NodeView {
       { class: "node", "data-node": name, "aria-label": name },
       this.#gone,
       element("div", { class: "parts" }, ...this.#parts.map((part) => part.element)),
-      this.#undo.element,
     );
   }
 
@@ -68,11 +61,6 @@ export class NodeView {
     if (this.#node.state !== LOST) {
       this.#take(asLost(this.#node));
     }
-  }
-
-  /** Take the last change of this page back. */
-  undo() {
-    this.#undo.undo();
   }
 
   show(isShown, mayReceive) {

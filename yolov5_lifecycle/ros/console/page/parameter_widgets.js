@@ -3,9 +3,6 @@
 import { Chips } from "./chips.js";
 import { element, plainField, setText } from "./element.js";
 import { shownValue } from "./parameter_values.js";
-import { TouchDrag } from "./touch_drag.js";
-
-let lastGesture = 0;
 
 /** Changes when a parameter needs another widget. */
 export function widgetKind({ type, range, choices, is_shown: isShown }, isFixed) {
@@ -15,8 +12,7 @@ export function widgetKind({ type, range, choices, is_shown: isShown }, isFixed)
 /**
  * `{element, show(value), forget()}` for a parameter; `forget`, which not all have, drops what was typed.
  *
- * `options`: `changed(value, gesture)` is called with each value to set; changes of one gesture have the same
- * number. `refused(reason)` is called for invalid input.
+ * `options`: `changed(value)` is called with each value to set, `refused(reason)` for invalid input.
  */
 export function widgetFor(parameter, options) {
   if (!parameter.is_shown) {
@@ -147,10 +143,7 @@ class Slider {
   #from;
   #isLive;
   #changed;
-  #value = null;
   #isDragged = false;
-  #gesture = 0;
-  #touch;
 
   constructor({ type, range, change }, options) {
     const step = stepOf(type, range);
@@ -164,22 +157,15 @@ class Slider {
       max: range.to,
       step,
       ...labelled(options),
-      onpointerdown: () => this.#begin(),
-      onkeydown: (event) => event.repeat || this.#begin(),
       oninput: () => this.#move(),
       onchange: () => this.#commit(),
-    });
-    this.#touch = new TouchDrag(this.#slider, {
-      begin: () => this.#begin(),
-      commit: () => this.#commit(),
-      cancel: () => this.#cancel(),
+      ontouchcancel: () => this.forget(),
     });
     this.element = element("div", { class: "slider" }, this.#slider, this.#field.element);
   }
 
   show(value) {
     if (!this.#isDragged) {
-      this.#value = value;
       this.#slider.value = value ?? this.#slider.min;
       this.#field.show(value);
     }
@@ -194,38 +180,18 @@ class Slider {
     return Math.max(this.#from, Number(this.#slider.value));
   }
 
-  #begin() {
-    lastGesture += 1;
-    this.#gesture = lastGesture;
-  }
-
   #move() {
-    if (this.#touch.isIgnored) {
-      this.show(this.#value);
-      return;
-    }
     this.#isDragged = true;
     this.#field.show(this.#valueNow);
     if (this.#isLive) {
-      this.#changed(this.#valueNow, this.#gesture);
+      this.#changed(this.#valueNow);
     }
   }
 
   #commit() {
-    const wasDragged = this.#isDragged;
     this.#isDragged = false;
-    if (wasDragged && !this.#isLive) {
-      this.#changed(this.#valueNow, this.#gesture);
-    }
-  }
-
-  /** Back to the value before the drag. */
-  #cancel() {
-    const wasDragged = this.#isDragged;
-    this.#isDragged = false;
-    this.show(this.#value);
-    if (wasDragged && this.#isLive) {
-      this.#changed(this.#value, this.#gesture);
+    if (!this.#isLive) {
+      this.#changed(this.#valueNow);
     }
   }
 }
