@@ -143,6 +143,7 @@ class Slider {
   #from;
   #isLive;
   #changed;
+  #value = null;
   #isDragged = false;
 
   constructor({ type, range, change }, options) {
@@ -159,13 +160,14 @@ class Slider {
       ...labelled(options),
       oninput: () => this.#move(),
       onchange: () => this.#commit(),
-      ontouchcancel: () => this.forget(),
+      onpointercancel: () => this.#cancel(),
     });
     this.element = element("div", { class: "slider" }, this.#slider, this.#field.element);
   }
 
   show(value) {
     if (!this.#isDragged) {
+      this.#value = value;
       this.#slider.value = value ?? this.#slider.min;
       this.#field.show(value);
     }
@@ -189,9 +191,20 @@ class Slider {
   }
 
   #commit() {
+    const wasDragged = this.#isDragged;
     this.#isDragged = false;
-    if (!this.#isLive) {
+    if (wasDragged && !this.#isLive) {
       this.#changed(this.#valueNow);
+    }
+  }
+
+  /** Back to the value before the drag: the finger scrolls the page. */
+  #cancel() {
+    const wasDragged = this.#isDragged;
+    this.#isDragged = false;
+    this.show(this.#value);
+    if (wasDragged && this.#isLive) {
+      this.#changed(this.#value);
     }
   }
 }
