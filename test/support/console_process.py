@@ -89,12 +89,12 @@ class ConsoleClient:
     def logged_in(self, token: str) -> ConsoleClient:
         """The same browser with a session."""
         reply = self.log_in(token)
-        assert reply.headers["location"] == "/", reply
+        assert reply.status == 204, reply
         return ConsoleClient(self.url, reply.headers["set-cookie"].partition(";")[0])
 
     def log_in(self, token: str, **headers: str) -> Reply:
-        form = {"Content-Type": "application/x-www-form-urlencoded", "Origin": self.origin} | headers
-        return self.request("POST", "/login", headers=form, body=urlencode({"token": token}))
+        own = {"Authorization": f"Bearer {token}", "Origin": self.origin} | headers
+        return self.request("POST", "/login", headers=own)
 
     def socket(self, path: str, *, headers: Mapping[str, str] | None = None) -> ClientConnection:
         """An open WebSocket."""
@@ -176,9 +176,10 @@ class Page:
         if message["type"] == "node":
             self.nodes[message["node"]["name"]] = message["node"]
         elif message["type"] == "gone":
-            self.nodes.pop(message["name"], None)
-            self.gone.append(message["name"])
-            self.lost[message["name"]] = message["node"]
+            name = message["node"]["name"]
+            self.nodes.pop(name, None)
+            self.gone.append(name)
+            self.lost[name] = message["node"]
         elif message["type"] == "answer":
             self.answers[message["id"]] = message
         return message

@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from lifecycle_msgs.msg import State, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rcl_interfaces.msg import Log, ParameterEvent
 from rclpy.duration import Duration
@@ -62,7 +61,7 @@ def console_beside_node(*words: str, parameters: tuple[str, ...] = ()) -> Iterat
 
 @pytest.fixture(scope="module")
 def console() -> Iterator[ConsoleBesideNode]:
-    with console_beside_node("--metrics") as beside:
+    with console_beside_node() as beside:
         yield beside
 
 
@@ -95,20 +94,20 @@ def test_a_page_is_welcomed_and_told_of_each_detector_and_no_other_node(
         assert late.welcome == {"type": "welcome", "view_only": False, "nodes": [NODE]}
     page.wait_for(lambda: page.nodes[NODE]["log"], "the log of before the console knew the detector")
     node = page.nodes[NODE]
-    assert node["transitions"] == [{"label": "configure"}, {"label": "shutdown"}]
+    assert node["transitions"] == ["configure", "shutdown"]
     assert [one["name"] for one in node["parameters"]] == [setting.name for setting in SETTINGS]
     assert [camera["name"] for camera in node["cameras"]] == [""]
     assert node["diagnostics"][0]["name"] == "detection"
     assert node["diagnostics"][0]["values"]["state"] == "unconfigured"
     assert "next step" in node["log"][0]["text"]
-    assert node["busy"] == ""
 
 
 def test_metrics_have_the_figures_of_the_diagnostics(console: ConsoleBesideNode, page: Page) -> None:
     text = console.client.request("GET", "/metrics").body
     assert f'yolov5_state{{node="{NODE}",state="unconfigured"}} 1.0' in text
-    assert f'yolov5_frames_total{{camera="",node="{NODE}",outcome="detected"}} 0.0' in text
-    assert "yolov5_resident_memory_megabytes{" in text
+    assert f'yolov5_status_level{{node="{NODE}",status="detection"}} ' in text
+    assert f'yolov5_diagnostics{{key="frames detected",node="{NODE}",status="detection"}} 0.0' in text
+    assert 'key="state"' not in text
 
 
 def test_transitions_are_followed_and_change_what_is_possible(console: ConsoleBesideNode, page: Page) -> None:
@@ -118,7 +117,7 @@ def test_transitions_are_followed_and_change_what_is_possible(console: ConsoleBe
     assert console.served.transition("configure")  # of somebody else
     page.wait_for_state("inactive")
     assert page.transition("activate") == ""
-    assert {"label": "deactivate"} in page.wait_for_state("active")["transitions"]
+    assert "deactivate" in page.wait_for_state("active")["transitions"]
     page.wait_for(lambda: page.nodes[NODE]["class_names"] == ["cat", "dog"], "the names of the classes")
 
 
@@ -145,7 +144,8 @@ def test_a_change_reaches_the_node_and_all_pages(console: ConsoleBesideNode, pag
 def test_a_refused_change_has_the_words_of_the_node_or_console_and_changes_nothing(page: Page) -> None:
     before = page.parameter("iou_threshold")["value"]
     assert "max_rate: -1.0 is not a number" in page.set(iou_threshold=0.9, max_rate=-1.0)
-    assert "lazy: expected true or false" in page.set(iou_threshold=0.9, lazy="yes")
+    assert "lazy: 'yes' is not true or false" in page.set(iou_threshold=0.9, lazy="yes")
+    assert "lazy: expected true, false, a number" in page.set(iou_threshold=0.9, lazy={})
     assert page.parameter("iou_threshold")["value"] == before
 
 
@@ -154,28 +154,6 @@ def test_the_last_of_many_changes_is_what_stays(console: ConsoleBesideNode, page
         numbers = [page.begin(type="set", values={"confidence_threshold": value}) for value in batch]
         page.wait_for(partial(page.answers.keys().__ge__, set(numbers)), "all answers")
         assert console.served.get("confidence_threshold") == batch[-1]
-
-
-def test_while_a_reload_is_prepared_all_pages_see_that_the_node_is_busy(
-    console: ConsoleBesideNode, page: Page
-) -> None:
-    activate(page)
-    console.prepare.gate.clear()
-    try:
-        number = page.begin(type="set", values={"image_size": 320})
-        with console.client.page() as other:
-            for one in (page, other):
-                one.wait_for(partial(is_busy_with, one, "set image_size ..."), "a busy node")
-    finally:
-        console.prepare.gate.set()
-    page.wait_for(lambda: number in page.answers, "the answer")
-    assert page.answers[number]["ok"]
-    page.wait_for(lambda: is_busy_with(page, ""), "a node that is not busy")
-    assert page.set(image_size=640) == ""
-
-
-def is_busy_with(page: Page, what: str) -> bool:
-    return NODE in page.nodes and page.nodes[NODE]["busy"] == what
 
 
 def test_cameras_are_set_and_their_overrides_come_and_go(console: ConsoleBesideNode, page: Page) -> None:
@@ -203,7 +181,7 @@ def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page)
             page.wait_for(lambda: name in page.gone and name in page.nodes, "its new process")
     page.wait_for(lambda: name not in page.nodes, "the end of both")
     lost = page.lost[name]
-    assert (lost["state"], lost["last_state"], lost["transitions"]) == ("lost", "unconfigured", [])
+    assert (lost["state"], lost["log"]) != ("", [])
     assert page.ask(type="transition", node=name, label="configure") == f"there is no detector {name}"
     with ServedNode(Preparations(), arguments=[*words, "-p", "max_rate:=3.0"]):
         page.wait_for(lambda: name in page.nodes, "the new detector")
@@ -310,20 +288,21 @@ def test_of_many_nodes_each_camera_has_its_own_images_and_those_that_are_asked_f
 
 
 @pytest.mark.parametrize(
-    ("node", "camera", "code"),
+    ("node", "camera", "word", "code"),
     [
-        pytest.param("/nobody", "", 4404, id="node"),
-        pytest.param(NODE, "front", 4404, id="camera"),
-        pytest.param("/robot/../yolov5", "", 4404, id="path"),
-        pytest.param(NODE, "", 1008, id="another word than taken"),
+        pytest.param("/nobody", "", "taken", 4404, id="node"),
+        pytest.param(NODE, "front", "taken", 4404, id="camera"),
+        pytest.param("/robot/../yolov5", "", "taken", 4404, id="path"),
+        pytest.param(NODE, "", "more", 1008, id="another word than taken"),
+        pytest.param(NODE, "", "taken", 1008, id="taken without an image"),
     ],
 )
 def test_a_viewer_that_asks_for_something_else_is_closed(
-    console: ConsoleBesideNode, page: Page, node: str, camera: str, code: int
+    console: ConsoleBesideNode, page: Page, node: str, camera: str, word: str, code: int
 ) -> None:
     with console.client.viewer(node, camera) as viewer:
         with suppress(ConnectionClosed):
-            viewer.connection.send("more")
+            viewer.connection.send(word)
         with pytest.raises(ConnectionClosed) as closed:
             viewer.receive()
     assert closed.value.rcvd is not None
@@ -355,7 +334,6 @@ FALSE_MESSAGES = {
     "long-status": ("/diagnostics", diagnostics(message=LARGE)),
     "many-values": ("/diagnostics", diagnostics(values=[KeyValue(key="a", value="b")] * MANY)),
     "many-classes": (f"{NODE}/label_info", LabelInfo(class_map=[VisionClass(class_name="a")] * MANY)),
-    "transition": (f"{NODE}/transition_event", TransitionEvent(goal_state=State(label=LARGE))),
 }
 FLOODS = {
     "events": ("/parameter_events", event("max_rate", 9.0)),

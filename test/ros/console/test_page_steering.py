@@ -8,10 +8,8 @@ from pathlib import Path
 import pytest
 from rcl_interfaces.srv import ListParameters
 from selenium.webdriver import ActionChains, Chrome
-from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
-from support.browser import Finger, middle
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.detector_process import NODE, PARAMETERS
@@ -20,7 +18,6 @@ from support.sighting import Sighting
 
 from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
-from yolov5_lifecycle.settings.settings import SETTINGS
 
 pytestmark = pytest.mark.long
 
@@ -79,7 +76,6 @@ def test_a_refused_value_shows_the_nodes_words_as_text_and_the_old_value(page: C
     page.wait_for_text('[data-parameter="iou_threshold"] .refusal', "7.0 is not a number from 0 to 1.")
     field = page.widget("iou_threshold", TEXT)
     page.wait_for(lambda: field.get_attribute("value") == "0.45", "the old value")
-    assert not page.find(".undo").is_displayed()
 
 
 def test_a_detector_is_deactivated_and_a_refused_transition_shows_the_nodes_reason(
@@ -185,105 +181,66 @@ def test_an_image_that_is_asked_for_is_kept_and_the_page_says_so(browser: Chrome
         )
 
 
-def undo(page: ConsolePage, report: str) -> None:
-    """Press the button, and wait for what the page then says."""
-    page.wait_for(lambda: page.find(".undo button").is_displayed(), "the button")
-    page.find(".undo button").click()
-    page.wait_for_text(".undo .change", report)
-
-
-def test_changes_of_every_widget_are_undone_one_after_the_other(
-    robot: ConsoleRobot, page: ConsolePage
+def test_changes_of_every_widget_are_taken_back_to_what_was_when_the_page_was_opened(
+    browser: Chrome, robot: ConsoleRobot
 ) -> None:
-    class_threshold = page.widget("class_thresholds", TEXT)
+    before: dict[str, object] = {
+        "confidence_threshold": 0.5,
+        "max_rate": 9.0,
+        "agnostic_nms": True,
+        "classes": ["circle"],
+        "precision": "fp32",
+    }
+    assert robot.detector.node.set_parameters(**before) == ""
+    page = opened(browser, robot.url)
     changes: dict[str, tuple[Callable[[], object], object]] = {
         "confidence_threshold": (
             lambda: page.widget("confidence_threshold", SLIDER).send_keys(Keys.END),
             1.0,
         ),
         "max_rate": (lambda: page.enter("max_rate", "7.5"), 7.5),
-        "agnostic_nms": (lambda: page.widget("agnostic_nms", "input").click(), True),
-        "classes": (lambda: page.widget("classes", '[data-name="star"]').click(), ["star"]),
-        "class_thresholds": (lambda: class_threshold.send_keys("star:0.5", Keys.ENTER), ["star:0.5"]),
+        "agnostic_nms": (lambda: page.widget("agnostic_nms", "input").click(), False),
+        "classes": (lambda: page.widget("classes", '[data-name="star"]').click(), ["circle", "star"]),
         "precision": (
-            lambda: Select(page.widget("precision", "select")).select_by_value("fp32"),
-            "fp32",
+            lambda: Select(page.widget("precision", "select")).select_by_value("auto"),
+            "auto",
         ),
     }
-    before = {name: robot.detector.node.parameter(name) for name in changes}
     for name, (change, after) in changes.items():
         change()
         wait_for_value(robot, page, name, after)
-        page.wait_for_text(".undo .change", f"{name} changed from")
-    page.reset("max_rate")
-    page.wait_for_text(".undo .change", "max_rate changed from 7.5 to 0.")
-    assert page.text(".undo button") == "Undo (7)"
-    undo(page, "max_rate is 7.5 again.")
-    for name in reversed(changes):
-        undo(page, f"{name} is")
+        back = page.widget(name, ".back")
+        page.wait_for(back.is_displayed, "the button")
+        back.click()
         wait_for_value(robot, page, name, before[name])
-    assert page.widget("max_rate", TEXT).get_attribute("value") == "0"
+    page.wait_for(lambda: page.widget("max_rate", TEXT).get_attribute("value") == "9", "the old value")
 
 
-def test_a_drag_is_one_change(robot: ConsoleRobot, page: ConsolePage) -> None:
+def test_a_drag_ends_at_its_last_value(robot: ConsoleRobot, page: ConsolePage) -> None:
     slider = page.widget("iou_threshold", SLIDER)
     drag = ActionChains(page.driver).click_and_hold(slider).move_by_offset(20, 0)
     drag.pause(0.3).move_by_offset(20, 0).pause(0.3).move_by_offset(-10, 0).release().perform()
-    page.wait_for_text(".undo .change", "iou_threshold changed from 0.45")
     page.wait_for(lambda: not page.is_busy("iou_threshold"), "the answer")
-    assert page.text(".undo button") == "Undo"
-    undo(page, "iou_threshold is 0.45 again.")
-    wait_for_value(robot, page, "iou_threshold", 0.45)
+    shown = float(slider.get_attribute("value") or 0)
+    assert shown > 0.45
+    wait_for_value(robot, page, "iou_threshold", shown)
 
 
-def test_a_refused_undo_shows_the_reason_and_stays(robot: ConsoleRobot, page: ConsolePage) -> None:
-    page.widget("classes", '[data-name="star"]').click()
-    page.wait_for_text(".undo .change", "classes changed from empty to star")
-    page.widget("classes", '[data-name="circle"]').click()
-    page.wait_for_text(".undo .change", "classes changed from star to star, circle")
-    page.driver.execute_script(
-        """
-        const send = WebSocket.prototype.send;
-        WebSocket.prototype.send = function (data) {
-          send.call(this, data.replace('["star"]', '["circel"]'));
-        };
-        """
-    )
-    undo(page, "classes changed from star to star, circle.")
-    page.wait_for_text(".undo .refusal", "Did you mean 'circle'?")
-    assert robot.detector.node.parameter("classes") == ["star", "circle"]
-
-
-def test_the_keyboard_undoes_a_change_but_typing_stays_the_fields(
+def test_escape_restores_a_text_and_a_button_keeps_the_keyboard(
     robot: ConsoleRobot, page: ConsolePage
 ) -> None:
-    page.widget("confidence_threshold", SLIDER).send_keys(Keys.END)
-    page.wait_for_text(".undo .change", "confidence_threshold changed from 0.25 to 1.")
     field = page.widget("max_rate", TEXT)
-    field.send_keys("9", Keys.CONTROL + "z")
+    field.send_keys("9", Keys.ESCAPE)
     assert field.get_attribute("value") == "0"
-    assert robot.detector.node.parameter("confidence_threshold") == 1.0
-    field.send_keys(Keys.ESCAPE)
-    page.driver.find_element(By.CSS_SELECTOR, "main").send_keys(Keys.CONTROL + "z")
-    wait_for_value(robot, page, "confidence_threshold", 0.25)
-
-
-def test_undo_has_a_name_and_keeps_the_keyboard_and_goes_after_a_touch(phone: ConsolePage) -> None:
-    phone.widget("classes", '[data-name="star"]').click()
-    phone.wait_for_text(".undo .change", "classes changed")
-    button = phone.find(".undo button")
-    assert button.accessible_name == "Undo: set classes to empty"
-    assert phone.find(".undo .change").aria_role == "status"
+    page.widget("classes", '[data-name="star"]').click()
+    wait_for_value(robot, page, "classes", ["star"])
+    button = page.widget("classes", ".reset")
+    page.wait_for(button.is_displayed, "the button")
+    assert button.accessible_name == "Set classes to its default"
     button.send_keys(Keys.ENTER)
-    phone.wait_for_text(".undo .change", "classes is empty again.")
-    assert phone.driver.switch_to.active_element == button
-    assert button.get_attribute("aria-disabled") == "true"
-    phone.widget("classes", '[data-name="star"]').click()
-    phone.wait_for_text(".undo .change", "classes changed")
-    Finger(phone.driver).tap(middle(button))
-    phone.wait_for_text(".undo .change", "classes is empty again.")
-    assert not button.is_displayed()
-    phone.wait_for(lambda: not phone.find(".undo").is_displayed(), "the end of the report")
+    wait_for_value(robot, page, "classes", [])
+    page.wait_for(lambda: page.chosen("classes") == [], "no class")
+    assert page.driver.switch_to.active_element == button
 
 
 def test_a_camera_has_its_own_image_reason_and_value_of_a_parameter(browser: Chrome) -> None:
@@ -296,22 +253,14 @@ def test_a_camera_has_its_own_image_reason_and_value_of_a_parameter(browser: Chr
         )
         assert page.stamp_s("rear") == 0
         page.wait_for_text(".reason", "rear: no publisher")
-        page.wait_for(lambda: page.find(".override").is_displayed(), "the form")
-        Select(page.find('.override [data-choice="camera"]')).select_by_value("rear")
-        names = Select(page.find('.override [data-choice="parameter"]'))
-        offered = {option.get_attribute("value") for option in names.options}
-        assert offered == {setting.name for setting in SETTINGS if setting.per_camera} - {"max_rate"}
-        names.select_by_value("confidence_threshold")
-        page.find(".override button").click()
-        name = "rear.confidence_threshold"
-        page.wait_for_text(".undo .change", f"{name} changed from not set to 0.25")
-        page.enter(name, "0.75")
-        wait_for_value(robot, page, name, 0.75)
-        assert robot.detector.node.parameter("confidence_threshold") == 0.25
-        undo(page, f"{name} is 0.25 again.")
-        undo(page, f"{name} is not set again.")
+        name = "rear.max_rate"
+        page.enter(name, "4")
+        wait_for_value(robot, page, name, 4.0)
+        page.reset(name)
         observer = robot.detector.observer
         client = observer.create_client(ListParameters, f"{NODE}/list_parameters")
-        listed = observer.call(client, ListParameters.Request()).result.names
-        assert "rear.max_rate" in listed
-        assert name not in listed
+
+        def listed() -> list[str]:
+            return list(observer.call(client, ListParameters.Request()).result.names)
+
+        page.wait_for(lambda: name not in listed(), "no override")

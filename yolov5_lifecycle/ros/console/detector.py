@@ -4,46 +4,38 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict
 from typing import Any
 
-from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
-from rcl_interfaces.msg import ParameterDescriptor
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    ListParameters,
-    SetParametersAtomically,
-)
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.parameter_view import ParameterView, parameter_message, shown_values
+from yolov5_lifecycle.ros.console.parameter_view import parameter_message, parameters_as_json
 from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
     camera_as_json,
-    cameras_of,
     class_names_of,
 )
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS, usable_names
+from yolov5_lifecycle.settings.settings import SCHEMA
 
-SILENCE_S = 5.0
+_SILENCE_S = 5.0
 """A detector that sends no diagnostics (usually one per second) for longer than this is gone."""
-LOST = "lost"
-"""Shown instead of the state of a detector that is gone."""
 SERVICES = {
     "get_state": GetState,
     "get_available_transitions": GetAvailableTransitions,
     "change_state": ChangeState,
     "list_parameters": ListParameters,
-    "describe_parameters": DescribeParameters,
     "get_parameters": GetParameters,
     "set_parameters_atomically": SetParametersAtomically,
     "collect": Trigger,
@@ -70,7 +62,7 @@ class Detector:
     Messages of topics only tell that something may have changed, as anybody can send them: what is shown of
     state and parameters are answers of the node's services.
 
-    `log`: its lines, also those from before it was known.
+    `log`: its lines, also those from before it was known; `publishers`: ids of its publishers of diagnostics.
     """
 
     def __init__(
@@ -79,27 +71,23 @@ class Detector:
         name: str,
         *,
         on_change: Callable[[Detector], object],
-        log: LogView | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        log: LogView,
+        publishers: frozenset[bytes],
     ) -> None:
         self.name = name
+        self.publishers = publishers
         self.state = ""
-        self.statuses: list[StatusView] = []
-        """The last diagnostics."""
-        self.log = LogView() if log is None else log
+        self.statuses: dict[str, StatusView] = {}
+        """The last diagnostics by name."""
+        self.log = log
         self._ros = ros
         self._on_change = on_change
-        self._clock = clock
         self._clients: dict[str, Any] = {}
-        self._subscriptions: list[Any] = []
+        self._labels: Any = None
         self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._transitions: list[str] = []
-        self._descriptors: dict[str, ParameterDescriptor] = {}
-        self._views: dict[str, ParameterView] = {}
-        self._values: dict[str, object] = {}
-        self._parameters: list[dict[str, object]] = []
+        self._parameters: dict[str, dict[str, object]] = {}
         self._class_names: list[str] = []
-        self._busy: list[str] = []
         self._wanted = asyncio.Event()
         self._heard_s: float | None = None
         self._task: asyncio.Task[None] | None = None
@@ -118,64 +106,49 @@ class Detector:
             await self._ros.run(self._destroy)
 
     def _create(self) -> None:
-        create_client, subscribe = self._ros.node.create_client, self._ros.node.create_subscription
+        node = self._ros.node
         for service, kind in SERVICES.items():
-            self._clients[service] = create_client(kind, f"{self.name}/{service}")
-        transitions = Mailbox[TransitionEvent](self._ros, lambda _: self.ask_soon())
+            self._clients[service] = node.create_client(kind, f"{self.name}/{service}")
         labels = Mailbox(self._ros, self._take_labels)
-        self._subscriptions = [
-            subscribe(TransitionEvent, f"{self.name}/transition_event", transitions.put, 10),
-            subscribe(LabelInfo, f"{self.name}/label_info", labels.put, _LATCHED),
-        ]
+        topic = f"{self.name}/label_info"
+        self._labels = node.create_subscription(LabelInfo, topic, labels.put, _LATCHED)
 
     def _destroy(self) -> None:
-        for subscription in self._subscriptions:
-            self._ros.node.destroy_subscription(subscription)
+        if self._labels is not None:
+            self._ros.node.destroy_subscription(self._labels)
         for client in self._clients.values():
             self._ros.node.destroy_client(client)
-
-    def invalidate(self) -> None:
-        """Discard what the node has answered; its next diagnostics may come from a restarted process."""
-        self.state, self.statuses, self._views, self._descriptors = "", [], {}, {}
-        self.ask_soon()
 
     @property
     def is_known(self) -> bool:
         """Whether the node has answered and is a detector: it has settings and publishes its status."""
-        return bool(self.state and self._views and self.status)
+        return bool(self.state and self._parameters and self.status)
 
     @property
     def is_silent(self) -> bool:
         """Whether its diagnostics have stopped."""
-        return self._heard_s is not None and self._clock() - self._heard_s > SILENCE_S
+        return self._heard_s is not None and time.monotonic() - self._heard_s > _SILENCE_S
 
     @property
     def camera_names(self) -> tuple[str, ...]:
         """Names in the parameter `cameras`, without impossible ones."""
-        return usable_names(self._values.get("cameras"))
-
-    @property
-    def cameras(self) -> list[tuple[str, StatusView | None]]:
-        """Names of the cameras with their last diagnostics."""
-        return cameras_of(self.camera_names, self.statuses)
+        return usable_names(self._parameters.get("cameras", {}).get("value"))
 
     @property
     def status(self) -> StatusView | None:
         """The last diagnostics of the node as a whole."""
-        return next((status for status in self.statuses if status.name == NODE_STATUS), None)
+        return self.statuses.get(NODE_STATUS)
 
-    def as_json(self, *, is_lost: bool = False) -> dict[str, object]:
-        """Everything that the page shows of the detector; of a lost one, nothing old looks current."""
-        transitions = [] if is_lost else self._transitions
+    def as_json(self) -> dict[str, object]:
+        """Everything that the page shows of the detector."""
+        cameras = {name: self.statuses.get(name or NODE_STATUS) for name in self.camera_names or [""]}
         return {
             "name": self.name,
-            "state": LOST if is_lost else self.state,
-            "last_state": self.state,
-            "transitions": [{"label": label} for label in transitions],
-            "busy": "" if is_lost else next(filter(None, self._busy), ""),
-            "parameters": self._parameters,
-            "cameras": [camera_as_json(*camera, is_lost=is_lost) for camera in self.cameras],
-            "diagnostics": [status.as_json(is_lost=is_lost) for status in self.statuses],
+            "state": self.state,
+            "transitions": self._transitions,
+            "parameters": list(self._parameters.values()),
+            "cameras": [camera_as_json(*camera) for camera in cameras.items()],
+            "diagnostics": [asdict(status) for status in self.statuses.values()],
             "class_names": self._class_names,
             "log": self.log.as_json(),
         }
@@ -183,17 +156,14 @@ class Detector:
     async def set(self, values: Mapping[str, object]) -> str:
         """Set parameters, all or none; returns the reason for a refusal, "" on success."""
         try:
-            messages = [parameter_message(name, value, self._views) for name, value in values.items()]
-        except ValueError as error:
+            request = SetParametersAtomically.Request(
+                parameters=[parameter_message(name, value) for name, value in values.items()]
+            )
+            result = (await self._call("set_parameters_atomically", request, _ACT_S)).result
+        except (ValueError, ConnectionError) as error:
             return str(error)
-        is_slow = any(name in self._views and self._views[name].change == "reload" for name in values)
-        what = f"set {', '.join(in_one_line(name, 100) for name in values)} ..."
-        request = SetParametersAtomically.Request(parameters=messages)
-        try:
-            with self._busy_with(what if is_slow and self.state == "active" else ""):
-                result = (await self._call("set_parameters_atomically", request, _ACT_S)).result
-        except ConnectionError as error:
-            return str(error)
+        finally:
+            self.ask_soon()
         return "" if result.successful else in_one_line(result.reason, _MAX_WORDS) or _NO_REASON
 
     async def change_state(self, label: str) -> str:
@@ -201,19 +171,21 @@ class Detector:
         count = self.log.count
         what = in_one_line(label, 100)
         try:
-            with self._busy_with(f"{what} ..."):
+            await self._ask_state()
+            if label not in self._transitions:
+                possible = ", ".join(self._transitions) or "none"
+                return f"{what} is not possible while {self.state}; possible now: {possible}"
+            request = ChangeState.Request(transition=Transition(label=label))
+            if (await self._call("change_state", request, _ACT_S)).success:
                 await self._ask_state()
-                if label not in self._transitions:
-                    possible = ", ".join(self._transitions) or "none"
-                    return f"{what} is not possible while {self.state}; possible now: {possible}"
-                request = ChangeState.Request(transition=Transition(label=label))
-                if (await self._call("change_state", request, _ACT_S)).success:
-                    await self._ask_state()
-                    return ""
-                return await self._reason(count) or f"the node refused to {label}; its log says why"
+                return ""
+            return await self._reason(count) or f"the node refused to {label}; its log says why"
         except ConnectionError as error:
             # The process ends soon after this transition, possibly before it has sent the response.
             return "" if label == "shutdown" else str(error)
+        finally:
+            self._on_change(self)
+            self.ask_soon()
 
     async def collect(self) -> tuple[bool, str]:
         """Have the next image of each camera kept: whether the node agrees, and its answer in words."""
@@ -234,8 +206,8 @@ class Detector:
         self._on_change(self)
 
     def take_diagnostics(self, statuses: list[StatusView]) -> None:
-        self._heard_s = self._clock()
-        self.statuses = statuses
+        self._heard_s = time.monotonic()
+        self.statuses = {status.name: status for status in statuses}
         if self.status is not None and self.status.values.get("state", self.state) != self.state:
             self.ask_soon()
         self._on_change(self)
@@ -267,41 +239,17 @@ class Detector:
 
     async def _ask_parameters(self) -> None:
         listed = await self._call("list_parameters", ListParameters.Request())
-        names = listed.result.names[:MAX_ITEMS]
-        descriptors = self._descriptors
-        if new := [name for name in names if name not in descriptors]:
-            answer = await self._call("describe_parameters", DescribeParameters.Request(names=new))
-            descriptors = descriptors | {str(one.name): one for one in answer.descriptors}
+        names = [name for name in listed.result.names[:MAX_ITEMS] if SCHEMA.find(name)]
         values = (await self._call("get_parameters", GetParameters.Request(names=names))).values
-        if len(values) != len(names) or not descriptors.keys() >= set(names):
+        if len(values) != len(names):
             raise ConnectionError(f"{self.name} has changed its parameters meanwhile")
-        self._descriptors = {name: descriptors[name] for name in names}
-        views = map(ParameterView.of, self._descriptors.values())
-        self._views = {view.name: view for view in views if view is not None}
-        found = zip(names, values, strict=True)
-        self._values = shown_values({name: value for name, value in found if name in self._views})
-        self._parameters = [
-            view.as_json(self._values.get(name), is_shown=name in self._values)
-            for name, view in self._views.items()
-        ]
+        self._parameters = parameters_as_json(dict(zip(names, values, strict=True)))
 
     async def _reason(self, count: int) -> str:
         """The problems that the node has logged since line number `count`; waits a little for them."""
-        end_s = self._clock() + _REASON_S
-        while self._clock() < end_s:
+        end_s = time.monotonic() + _REASON_S
+        while time.monotonic() < end_s:
             if texts := self.log.problems_since(count):
                 return "\n".join(texts[-3:])
             await asyncio.sleep(0.05)
         return self.status.values.get("last problem", "") if self.status is not None else ""
-
-    @contextmanager
-    def _busy_with(self, what: str) -> Iterator[None]:
-        """Show `what` during a request that changes the node, and ask the node afterwards."""
-        self._busy.append(what)
-        self._on_change(self)
-        try:
-            yield
-        finally:
-            self._busy.remove(what)
-            self._on_change(self)
-            self.ask_soon()

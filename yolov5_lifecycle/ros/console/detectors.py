@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log, ParameterEvent
@@ -21,7 +20,7 @@ from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
     line_of,
-    logger_name,
+    node_name,
     statuses_of,
 )
 
@@ -56,12 +55,8 @@ class Detectors:
         self._on_gone = on_gone
         self._candidates: dict[str, frozenset[bytes]] = {}
         self._followed: dict[str, Detector] = {}
-        self._shown: dict[str, frozenset[bytes]] = {}
-        """Publishers of those that are shown, empty until the next scan: a new one means a restart."""
-        self._left_out = 0
-        self._by_logger: dict[str, Detector] = {}
         self._logs: OrderedDict[str, LogView] = OrderedDict()
-        """Of loggers that are of no detector that is followed."""
+        """Of nodes that are not followed, by name."""
         self._diagnostics = Mailbox(ros, self._take_diagnostics, size=_MAX_WAITING)
         self._lines = Mailbox(ros, self._take_line, size=_MAX_WAITING)
         self._changed_names = Mailbox(ros, self._take_event, size=_MAX_WAITING)
@@ -71,20 +66,14 @@ class Detectors:
         await self._ros.run(self._subscribe, self._ros.node)
         self._task = asyncio.create_task(self._follow())
 
-    async def close(self) -> None:
-        if self._task is not None:
-            self._task.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._task
-
     @property
     def known(self) -> list[Detector]:
         """Those that are shown, by name."""
-        return [self._followed[name] for name in sorted(self._shown)]
+        return [self._followed[name] for name in sorted(self._followed) if self._followed[name].is_known]
 
     def find(self, name: object) -> Detector | None:
         """The detector called `name`, if it is shown."""
-        return self._followed[name] if isinstance(name, str) and name in self._shown else None
+        return next((detector for detector in self.known if detector.name == name), None)
 
     async def _follow(self) -> None:
         while True:
@@ -94,51 +83,42 @@ class Detectors:
 
     async def _update(self) -> None:
         """Adapt those that are followed to the candidates; those that are followed stay."""
-        for name, detector in list(self._followed.items()):
-            found = self._candidates.get(name, frozenset())
-            if not found or (self._shown.get(name) and found - self._shown[name]):
+        for detector in list(self._followed.values()):
+            found = self._candidates.get(detector.name, frozenset())
+            # A new publisher means a new process, which may come before the end of the old one is noticed.
+            if not found or found - detector.publishers or detector.is_silent:
                 await self._forget(detector)
-            elif name in self._shown and detector.is_silent:
-                self._hide(detector)
-                detector.invalidate()
-            elif name in self._shown:
-                self._shown[name] = found
+            else:
+                detector.publishers = found
         waiting = [name for name in self._candidates if name not in self._followed]
         room = MAX_DETECTORS - len(self._followed)
         for name in waiting[:room]:
             await self._begin(name)
-        left_out = len(waiting[room:])
-        if left_out > self._left_out:
+        if waiting[room:]:
             self._ros.node.get_logger().warning(
-                f"{left_out} further nodes are left out, {waiting[room]} first, as the console shows at most "
-                f"{MAX_DETECTORS}: to see one, start a console with --node and its name"
+                f"{len(waiting[room:])} further nodes are left out, {waiting[room]} first, as the console "
+                f"shows at most {MAX_DETECTORS}: to see one, start a console with --node and its name",
+                once=True,
             )
-            self._left_out = left_out
 
     async def _begin(self, name: str) -> None:
-        log = self._logs.pop(logger_name(name), None)
-        detector = Detector(self._ros, name, on_change=self._changed, log=log)
-        self._followed[name] = self._by_logger[logger_name(name)] = detector
+        log, publishers = self._logs.pop(name, LogView()), self._candidates[name]
+        detector = Detector(self._ros, name, on_change=self._changed, log=log, publishers=publishers)
+        self._followed[name] = detector
         try:
             await detector.open()
         except NameValidationException as error:
             self._ros.node.get_logger().warning(f"{name} cannot be shown: {error}")
 
     async def _forget(self, detector: Detector) -> None:
-        self._hide(detector)
         del self._followed[detector.name]
-        del self._by_logger[logger_name(detector.name)]
-        self._logs[logger_name(detector.name)] = detector.log
+        self._logs[detector.name] = detector.log
+        if detector.is_known:
+            self._on_gone(detector)
         await detector.close()
 
-    def _hide(self, detector: Detector) -> None:
-        if self._shown.pop(detector.name, None) is not None:
-            self._on_gone(detector)
-
     def _changed(self, detector: Detector) -> None:
-        is_followed = self._followed.get(detector.name) is detector
-        if is_followed and detector.is_known and not detector.is_silent:
-            self._shown.setdefault(detector.name, frozenset())
+        if detector.is_known and self._followed.get(detector.name) is detector:
             self._on_change(detector)
 
     def _subscribe(self, node: Node) -> None:
@@ -152,7 +132,7 @@ class Detectors:
             self._diagnostics.put((name, statuses_of(message)))
 
     def _hear_log(self, message: Log) -> None:
-        self._lines.put((in_one_line(message.name, _MAX_NAME), line_of(message)))
+        self._lines.put((node_name(in_one_line(message.name, _MAX_NAME)), line_of(message)))
 
     def _hear_event(self, message: ParameterEvent) -> None:
         if message.node in self._candidates:
@@ -164,13 +144,13 @@ class Detectors:
             self._followed[name].take_diagnostics(statuses)
 
     def _take_line(self, news: tuple[str, LogLine]) -> None:
-        logger, line = news
-        if detector := self._by_logger.get(logger):
+        name, line = news
+        if detector := self._followed.get(name):
             detector.log.add(line)
             self._changed(detector)
         else:
-            self._logs.setdefault(logger, LogView()).add(line)
-            self._logs.move_to_end(logger)
+            self._logs.setdefault(name, LogView()).add(line)
+            self._logs.move_to_end(name)
             if len(self._logs) > _MAX_LOGGERS:
                 self._logs.popitem(last=False)
 

@@ -18,13 +18,13 @@ from yolov5_lifecycle.ros.console.budget import MAX_ADDRESSES, Budget
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
 from yolov5_lifecycle.ros.console.sessions import Sessions
 
-METRICS = "/metrics"
+LOGIN, METRICS = "/login", "/metrics"
 _REQUESTS_PER_S = 100.0
 _REQUESTS = 400
 MAX_HEADER_BYTES = 16 * 1024
 _TLS_ONLY = "max-age=2592000"
 """Of Strict-Transport-Security: 30 days. Browsers ignore it for an address or an untrusted certificate."""
-_OPEN_TO_ALL = ("/login", "/page/")
+_OPEN_TO_ALL = (LOGIN, "/page/")
 """Served without a session: the login page and public files."""
 _SAFE = ("GET", "HEAD")
 _DEFAULT_PORTS = {"http": 80, "https": 443}
@@ -33,8 +33,8 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 class Gate:
     """Passes on to `application` the permitted requests from the page of this console.
 
-    Refuses: too many requests from one address; large ones; a length that is told twice; a foreign Host; a
-    foreign Origin, or none where a page would send one; with `sessions`, requests without a session.
+    Refuses: requests with a body; too many from one address; large ones; a foreign Host; a foreign Origin, or
+    none where a page would send one; with `sessions`, requests without a session.
     `port`: that of the console, part of the name of its cookie.
 
     The state of a request that is passed on has `is_secure`: whether the page's address begins with https,
@@ -65,16 +65,16 @@ class Gate:
 
     def _check(self, scope: Scope, headers: Headers) -> None:
         """Complete the state of the request; raises HTTPException for one that is refused."""
-        if not self._requests_of(address_of(scope)).spend():
-            raise HTTPException(429, "too many requests: wait a second", {"Retry-After": "1"})
+        # A body is not waited for: it may never come, and a proxy may find its end elsewhere (RFC 9112, 6.1).
+        closing = {"Connection": "close"}
+        if not self._requests_of(_address_of(scope)).spend():
+            raise HTTPException(429, "too many requests: wait a second", closing | {"Retry-After": "1"})
+        if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
+            raise HTTPException(400, "expected a request without a body", closing)
         if _header_bytes(scope) > MAX_HEADER_BYTES:
             raise HTTPException(
                 431, f"address and headers of a request may have at most {MAX_HEADER_BYTES} bytes"
             )
-        if "content-length" in headers and "transfer-encoding" in headers:
-            # A proxy and h11 may disagree where such a request ends (request smuggling, RFC 9112, 6.1).
-            text = "expected Content-Length or Transfer-Encoding, found both"
-            raise HTTPException(400, text, {"Connection": "close"})
         host, *others = headers.getlist("host") or [""]
         scheme = "" if others else self._addresses.scheme_of(host, tuple(scope.get("server") or ("", 0)))
         if not scheme:
@@ -105,25 +105,26 @@ class Gate:
         if path.startswith(_OPEN_TO_ALL) or left_s:
             return
         if path == METRICS:
-            _check_bearer(self._sessions, scope, headers)
+            if not has_token(self._sessions, scope, headers):
+                text = "expected the header Authorization: Bearer TOKEN"
+                raise HTTPException(401, text, {"WWW-Authenticate": "Bearer"})
         elif path == "/" and scope["type"] == "http":
-            raise HTTPException(303, "log in first, on /login", {"Location": "/login"})
+            raise HTTPException(303, "log in first, on /login", {"Location": LOGIN})
         else:
             raise HTTPException(401, "log in first, on /login")
 
 
-def address_of(scope: Scope) -> str:
+def has_token(sessions: Sessions, scope: Scope, headers: Headers) -> bool:
+    """Whether the request has the token in its Authorization header. Raises like `Sessions.knows_token`."""
+    kind, _, token = headers.get("authorization", "").partition(" ")
+    is_given = kind.lower() == "bearer" and bool(token)
+    return is_given and sessions.knows_token(token.strip(), _address_of(scope))
+
+
+def _address_of(scope: Scope) -> str:
     """Address of the client."""
     client = scope.get("client")
     return str(client[0]) if client else ""
-
-
-def _check_bearer(sessions: Sessions, scope: Scope, headers: Headers) -> None:
-    kind, _, token = headers.get("authorization", "").partition(" ")
-    is_given = kind.lower() == "bearer" and bool(token)
-    if not is_given or not sessions.knows_token(token.strip(), address_of(scope)):
-        text = "expected the header Authorization: Bearer TOKEN"
-        raise HTTPException(401, text, {"WWW-Authenticate": "Bearer"})
 
 
 def _header_bytes(scope: Scope) -> int:

@@ -8,14 +8,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.frames import CloseCode
 
-from yolov5_lifecycle.ros.console.budget import Budget
 from yolov5_lifecycle.ros.console.detector import Detector
 from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.topics import COMPRESSED_IMAGE, of_camera
@@ -25,8 +23,6 @@ _MAX_IMAGE_BYTES = 64 * 1024 * 1024
 """Larger ones are not shown; the largest image that a detector accepts has 67 million pixels."""
 _STAMP = struct.Struct("<d")
 _TAKEN = "taken"
-_MESSAGES_PER_S = 120.0
-_MESSAGES = 240
 _UNKNOWN = 4404
 
 
@@ -38,10 +34,6 @@ class Viewers:
         self._find = find
         self._feeds: dict[str, _Feed] = {}
 
-    @property
-    def count(self) -> int:
-        return sum(len(feed.viewers) for feed in self._feeds.values())
-
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one viewer until it is closed."""
         node = websocket.query_params.get("node", "")
@@ -51,46 +43,56 @@ class Viewers:
         if detector is None or camera not in (detector.camera_names or [""]):
             await websocket.close(_UNKNOWN, "camera not found")
             return
-        if self.count >= MAX_VIEWERS:
+        if sum(feed.viewers for feed in self._feeds.values()) >= MAX_VIEWERS:
             await websocket.close(
                 CloseCode.TRY_AGAIN_LATER, f"close a page: the console shows {MAX_VIEWERS} images, the limit"
             )
             return
         topic = node + of_camera(COMPRESSED_IMAGE, camera).removeprefix("~")
         feed = self._feeds.setdefault(topic, _Feed(self._ros, topic))
+        feed.begin()
         try:
-            await _Viewer(websocket, feed).serve()
-        except NameValidationException:  # no topic can have this name, so no detector has this camera
-            await websocket.close(_UNKNOWN, "camera not found")
+            await _show(websocket, feed)
         finally:
+            feed.end()
             if not feed.viewers:
-                self._feeds.pop(topic, None)
+                del self._feeds[topic]
 
 
 class _Feed:
-    """Subscribes to the compressed images on `topic` while there are viewers; keeps the newest one only."""
+    """Subscribes to the compressed images on `topic` while there are `viewers`; keeps the newest one only."""
 
     def __init__(self, ros: RosThread, topic: str) -> None:
-        self.newest = b""
-        """Stamp in seconds as a little-endian float64, then the JPEG; shared by all viewers."""
-        self.viewers: set[_Viewer] = set()
+        self.viewers = 0
+        self._newest = b""
+        self._arrived = asyncio.Event()
         self._ros = ros
         self._topic = topic
         self._mailbox = Mailbox(ros, self._take)
-        self._changing = asyncio.Lock()
         self._subscription: Any = None
 
-    async def adapt(self) -> None:
-        """Subscribe or end that, as there are viewers or not."""
-        async with self._changing:
-            if self.viewers and self._subscription is None:
-                self._subscription = await self._ros.run(self._subscribe, self._ros.node)
-            elif not self.viewers and self._subscription is not None:
-                await self._ros.run(self._ros.node.destroy_subscription, self._subscription)
-                self._subscription, self.newest = None, b""
+    def begin(self) -> None:
+        self.viewers += 1
+        if self.viewers == 1:
+            self._ros.run(self._subscribe, self._ros.node)
 
-    def _subscribe(self, node: Node) -> Any:
-        return node.create_subscription(CompressedImage, self._topic, self._receive, QoSProfile(depth=1))
+    def end(self) -> None:
+        self.viewers -= 1
+        if self.viewers == 0:
+            self._ros.run(lambda: self._ros.node.destroy_subscription(self._subscription))
+
+    async def after(self, last: bytes) -> bytes:
+        """The newest image once it is another than `last`; the same for all viewers.
+
+        Its stamp in seconds as a little-endian float64, then the JPEG.
+        """
+        while not self._newest or self._newest is last:
+            await self._arrived.wait()
+        return self._newest
+
+    def _subscribe(self, node: Node) -> None:
+        quality = QoSProfile(depth=1)
+        self._subscription = node.create_subscription(CompressedImage, self._topic, self._receive, quality)
 
     def _receive(self, message: CompressedImage) -> None:
         if len(message.data) <= _MAX_IMAGE_BYTES:
@@ -98,52 +100,30 @@ class _Feed:
             self._mailbox.put(b"".join((_STAMP.pack(stamp.sec + stamp.nanosec * 1e-9), message.data)))
 
     def _take(self, image: bytes) -> None:
-        if self.viewers:
-            self.newest = image
-            for viewer in self.viewers:
-                viewer.offer()
+        self._newest = image
+        self._arrived.set()
+        self._arrived = asyncio.Event()
 
 
-class _Viewer:
-    """One viewer: gets the newest image once it has acknowledged the last, so at most one is in transit."""
-
-    def __init__(self, websocket: WebSocket, feed: _Feed) -> None:
-        self._websocket = websocket
-        self._feed = feed
-        self._budget = Budget(_MESSAGES_PER_S, _MESSAGES)
-        self._has_taken = True
-        self._sent = b""
-        self._sending: asyncio.Task[None] | None = None
-
-    async def serve(self) -> None:
-        self._feed.viewers.add(self)
-        try:
-            await self._feed.adapt()
-            self.offer()
-            await self._receive()
-        except WebSocketDisconnect:
-            pass
-        finally:
-            self._feed.viewers.discard(self)
-            await self._feed.adapt()
-
-    async def _receive(self) -> None:
-        while (message := await self._websocket.receive())["type"] != "websocket.disconnect":
-            if message.get("text") != _TAKEN or not self._budget.spend():
-                await self._websocket.close(
-                    CloseCode.POLICY_VIOLATION, f"expected '{_TAKEN}' after each image"
-                )
+async def _show(websocket: WebSocket, feed: _Feed) -> None:
+    """Send the newest image whenever the last one was acknowledged, so at most one is in transit."""
+    has_taken = asyncio.Event()
+    has_taken.set()
+    sending = asyncio.create_task(_send_images(websocket, feed, has_taken))
+    try:
+        while (message := await websocket.receive())["type"] != "websocket.disconnect":
+            if message.get("text") != _TAKEN or has_taken.is_set():
+                await websocket.close(CloseCode.POLICY_VIOLATION, f"expected '{_TAKEN}' after each image")
                 return
-            self._has_taken = True
-            self.offer()
+            has_taken.set()
+    finally:
+        sending.cancel()
 
-    def offer(self) -> None:
-        """Send the newest image, if the viewer has acknowledged the last one and a newer one has arrived."""
-        if self._has_taken and self._feed.newest and self._feed.newest is not self._sent:
-            self._has_taken = False
-            self._sent = self._feed.newest
-            self._sending = asyncio.create_task(self._send(self._sent))
 
-    async def _send(self, payload: bytes) -> None:
-        with suppress(WebSocketDisconnect, RuntimeError):  # it is closed; `_receive` ends, too
-            await self._websocket.send_bytes(payload)
+async def _send_images(websocket: WebSocket, feed: _Feed, has_taken: asyncio.Event) -> None:
+    image = b""
+    with suppress(WebSocketDisconnect, RuntimeError):  # it is closed, which `_show` is told, too
+        while await has_taken.wait():
+            image = await feed.after(image)
+            has_taken.clear()
+            await websocket.send_bytes(image)

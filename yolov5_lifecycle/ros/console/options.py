@@ -31,7 +31,6 @@ class ConsoleOptions:
     port: int = DEFAULT_PORT
     nodes: Sequence[str] = ()
     view_only: bool = False
-    has_metrics: bool = False
     public_urls: Sequence[str] = ()
     token_file: Path | None = None
     certificate: Path | None = None
@@ -79,14 +78,13 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--node",
         dest="nodes",
-        type=_full_name,
+        type=lambda name: f"/{name.lstrip('/')}",
         action="append",
         default=[],
         metavar="/NAME",
         help="full name of a detector to show; may be repeated (default: all that are found)",
     )
     add("--view-only", action="store_true", help="disable all changes from the page")
-    add("--metrics", dest="has_metrics", action="store_true", help="serve metrics for Prometheus on /metrics")
     add(
         "--public-url",
         dest="public_urls",
@@ -118,12 +116,6 @@ def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > _MAX_PORT:
         raise argparse.ArgumentTypeError(f"expected a number from 0 to {_MAX_PORT}, found '{text}'")
     return int(text)
-
-
-def _full_name(text: str) -> str:
-    if not text.startswith("/"):
-        raise argparse.ArgumentTypeError(f"expected a full name such as /yolov5, found '{text}'")
-    return text
 
 
 def _url(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -19,9 +20,13 @@ VIEW_ONLY = "this console is for viewing only (--view-only)"
 _MESSAGES_PER_S = 30.0
 _MESSAGES = 60
 _MAX_PENDING = 8
-_MAX_UNREAD = 100
+"""Requests of a page that are not answered yet, or whose answers it has not read."""
 _MAX_VALUES = 400
 _UPDATE_S = 0.25
+_EXPECTED = (
+    f"expected the type set with values, an object of 1 to {_MAX_VALUES} parameters, the type transition "
+    "with a label, or the type collect"
+)
 
 Find = Callable[[object], Detector | None]
 
@@ -48,8 +53,7 @@ class Pages:
 
     def gone(self, detector: Detector) -> None:
         """Notify all pages that the detector is gone, with what was last known of it."""
-        last = detector.as_json(is_lost=True)
-        self._show(detector.name, {"type": "gone", "name": detector.name, "node": last})
+        self._show(detector.name, {"type": "gone", "node": detector.as_json()})
 
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one page until it is closed."""
@@ -86,7 +90,6 @@ class _Page:
         self._find = find
         self._view_only = view_only
         self._nodes: dict[str, str] = {}
-        self._answers: list[str] = []
         self._news = asyncio.Event()
         self._budget = Budget(_MESSAGES_PER_S, _MESSAGES)
         self._requests: set[asyncio.Task[None]] = set()
@@ -96,11 +99,9 @@ class _Page:
         self._news.set()
 
     async def serve(self, nodes: dict[str, str]) -> None:
-        welcome = {"type": "welcome", "view_only": self._view_only, "nodes": list(nodes)}
-        self._answers.append(json.dumps(welcome))
         self._nodes.update(nodes)
         self._news.set()
-        sender = asyncio.create_task(self._send())
+        sender = asyncio.create_task(self._send_nodes(list(nodes)))
         try:
             await self._receive()
         except WebSocketDisconnect:
@@ -109,28 +110,26 @@ class _Page:
             sender.cancel()
             # Requests in progress continue: the detector carries them out, with or without the page.
 
-    async def _send(self) -> None:
-        try:
-            while True:
-                await self._news.wait()
-                self._news.clear()
-                while self._answers or self._nodes:
-                    text = self._answers.pop(0) if self._answers else self._nodes.pop(next(iter(self._nodes)))
-                    await self._websocket.send_text(text)
-        except (WebSocketDisconnect, RuntimeError):
-            pass  # the page is closed; `_receive` ends, too
+    async def _send_nodes(self, names: list[str]) -> None:
+        await self._send(json.dumps({"type": "welcome", "view_only": self._view_only, "nodes": names}))
+        while await self._news.wait():
+            self._news.clear()
+            while self._nodes:
+                await self._send(self._nodes.pop(next(iter(self._nodes))))
+
+    async def _send(self, text: str) -> None:
+        """Returns once the client has taken most of what was sent; of a closed one, `_receive` ends, too."""
+        with suppress(WebSocketDisconnect, RuntimeError):
+            await self._websocket.send_text(text)
 
     async def _receive(self) -> None:
         while (message := await self._websocket.receive())["type"] != "websocket.disconnect":
             if not self._budget.spend():
                 await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
                 return
-            if len(self._answers) >= _MAX_UNREAD:
-                await self._websocket.close(CloseCode.POLICY_VIOLATION, "this page does not read answers")
-                return
-            self._handle(message.get("text"))
+            await self._handle(message.get("text"))
 
-    def _handle(self, text: str | None) -> None:
+    async def _handle(self, text: str | None) -> None:
         request, problem = _request(text)
         if not problem and self._view_only:
             problem = VIEW_ONLY
@@ -140,7 +139,7 @@ class _Page:
         if not problem and detector is None:
             problem = f"there is no detector {in_one_line(str(request.get('node')), 100)}"
         if problem or detector is None:
-            self._answer(request.get("id"), problem)
+            await self._answer(request.get("id"), problem)
             return
         task = asyncio.create_task(self._do(detector, request))
         self._requests.add(task)
@@ -155,13 +154,12 @@ class _Page:
         else:
             is_done, words = await detector.collect()
             reason, result = ("", words) if is_done else (words, "")
-        self._answer(request.get("id"), reason, result)
+        await self._answer(request.get("id"), reason, result)
 
-    def _answer(self, request_id: object, reason: str, result: str = "") -> None:
+    async def _answer(self, request_id: object, reason: str, result: str = "") -> None:
         is_id = isinstance(request_id, (int, str)) and len(str(request_id)) <= 100
         answer = {"type": "answer", "id": request_id if is_id else None, "ok": not reason, "reason": reason}
-        self._answers.append(json.dumps(answer | {"result": result}))
-        self._news.set()
+        await self._send(json.dumps(answer | {"result": result}))
 
 
 def _node(detector: Detector) -> dict[str, object]:
@@ -174,17 +172,14 @@ def _request(text: str | None) -> tuple[dict[str, Any], str]:
         request = json.loads(text or "", parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         return {}, "expected a JSON object"
-    if not isinstance(request, dict):
-        return {}, "expected a JSON object"
-    if request.get("type") == "set":
-        values = request.get("values")
-        if isinstance(values, dict) and 0 < len(values) <= _MAX_VALUES:
+    match request:
+        case {"type": "set", "values": dict(values)} if 0 < len(values) <= _MAX_VALUES:
             return request, ""
-        return request, f"expected values: an object of 1 to {_MAX_VALUES} parameters"
-    if request.get("type") == "transition":
-        return request, "" if isinstance(request.get("label"), str) else "expected label: a string"
-    is_known = request.get("type") == "collect"
-    return request, "" if is_known else "expected the type set, transition or collect"
+        case {"type": "transition", "label": str()} | {"type": "collect"}:
+            return request, ""
+        case dict():
+            return request, _EXPECTED
+    return {}, "expected a JSON object"
 
 
 def _refuse_constant(name: str) -> object:

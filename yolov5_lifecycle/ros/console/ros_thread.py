@@ -40,15 +40,14 @@ class RosThread:
     def start(self) -> None:
         self._thread.start()
 
-    def stop(self) -> bool:
-        """End the thread; return whether it has ended and the node may be destroyed."""
+    def stop(self) -> None:
+        """End the thread, unless it hangs."""
         self._is_stopping.set()
         self._executor.wake()
         self._thread.join(_END_S)
-        if self._thread.is_alive():
-            return False
-        self._executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
-        return True
+        if not self._thread.is_alive():
+            # Else the garbage collector does, and raises if it takes its parts first.
+            self._executor.shutdown()
 
     def post(self, function: Callable[..., object], *arguments: object) -> None:
         """Call `function` soon in the thread of the event loop; may be called in any thread."""

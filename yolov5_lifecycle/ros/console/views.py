@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Log
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS, NODE_STATUS
+from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS
 
-LOSSES = ("frames lost", "frames overtaken")
-"""Images that were sent but not received, so not part of the balance."""
 KEPT_LINES = 100
 STALE = 3
-_BALANCE = "frames "
 _MAX_NAME, _MAX_TEXT, _MAX_VALUES = 200, 5_000, 100
 _MAX_LINE = 4_000
 """Characters of a message of the log; a detector with one camera lists its settings in 2,500."""
 _MAX_CLASSES = 10_000
-_MAX_DIGITS = 18
-"""Of a number of frames; Python raises ValueError for thousands of them."""
 _NOTHING_TO_TELL = "detecting"
 _LEVELS = ((50, "fatal"), (40, "error"), (30, "warn"), (20, "info"))
 _PROBLEMS = ("warn", "error", "fatal")
@@ -39,10 +33,6 @@ class StatusView:
     message: str
     values: dict[str, str]
 
-    def as_json(self, *, is_lost: bool) -> dict[str, object]:
-        """For the page; of a lost detector, of which no more come, it is stale."""
-        return asdict(replace(self, level=STALE) if is_lost else self)
-
     def number(self, key: str) -> float | None:
         """The value of `key` as a finite number; None if it has none."""
         try:
@@ -50,15 +40,6 @@ class StatusView:
         except (KeyError, ValueError):
             return None
         return number if math.isfinite(number) else None
-
-    @property
-    def balance(self) -> dict[str, int]:
-        """Number of frames by outcome; `received` is their sum."""
-        return {
-            key.removeprefix(_BALANCE): int(value)
-            for key, value in self.values.items()
-            if key.startswith(_BALANCE) and key not in LOSSES and _is_count(value)
-        }
 
 
 def statuses_of(message: DiagnosticArray) -> list[StatusView]:
@@ -77,28 +58,15 @@ def _status(status: DiagnosticStatus) -> StatusView:
     return StatusView(name, level, in_lines(status.message, _MAX_TEXT), values)
 
 
-def _is_count(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS
-
-
-def cameras_of(names: Sequence[str], statuses: Sequence[StatusView]) -> list[tuple[str, StatusView | None]]:
-    """The cameras called `names` with their status, None if unknown; without names, the only camera as ""."""
-    by_name = {status.name: status for status in statuses}
-    return [(name, by_name.get(name or NODE_STATUS)) for name in names or [""]]
-
-
-def camera_as_json(name: str, status: StatusView | None, *, is_lost: bool) -> dict[str, object]:
-    """What the page shows of a camera; of one of a lost detector, no figures."""
-    shown = None if is_lost else status
-    message = "" if shown is None or shown.message == _NOTHING_TO_TELL else shown.message
+def camera_as_json(name: str, status: StatusView | None) -> dict[str, object]:
+    """What the page shows of a camera."""
     return {
         "name": name,
-        "rate_hz": shown and shown.number("rate Hz"),
-        "latency_ms": shown and shown.number("latency median ms"),
-        "latency_p95_ms": shown and shown.number("latency p95 ms"),
-        "balance": status.balance if status else {},
-        "message": message,
-        "level": STALE if is_lost else shown.level if shown else 0,
+        "rate_hz": status and status.number("rate Hz"),
+        "latency_ms": status and status.number("latency median ms"),
+        "latency_p95_ms": status and status.number("latency p95 ms"),
+        "message": "" if status is None or status.message == _NOTHING_TO_TELL else status.message,
+        "level": status.level if status else 0,
     }
 
 
@@ -143,6 +111,6 @@ class LogView:
         return [asdict(line) for line in self._lines]
 
 
-def logger_name(node_name: str) -> str:
-    """Name of the logger of the node with the full name `node_name`: `robot.yolov5` for `/robot/yolov5`."""
-    return node_name.removeprefix("/").replace("/", ".")
+def node_name(logger: str) -> str:
+    """Full name of the node with that `logger`: `/robot/yolov5` for `robot.yolov5`."""
+    return f"/{logger.replace('.', '/')}"

@@ -120,10 +120,7 @@ def unset_descriptor(setting: Setting) -> ParameterDescriptor:
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:
-    """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces.
-
-    The console reads the constraints (`ros/console/parameter_view.py`).
-    """
+    """Descriptor shown by `ros2 param describe`, with the range that rclpy enforces."""
     effect = f"{setting.change.value}{'; per camera' if setting.per_camera else ''}"
     default = json.dumps(setting.default, ensure_ascii=False)
     described = ParameterDescriptor(

@@ -45,12 +45,11 @@ class CameraView {
   #overlay = element("p", { class: "overlay" }, "no image yet");
   #figures = element("p", { class: "figures" });
   #message = element("p", { class: "message" });
-  #shownRate = element("span", { class: "shown" });
   #pause = element("button", { type: "button", class: "small", "aria-pressed": "false" }, "Pause");
   #image;
   #isPaused = false;
   #mayReceive = false;
-  #silentS = 0;
+  #heardMs = performance.now();
   #isLost = false;
 
   constructor(node, camera) {
@@ -66,7 +65,7 @@ class CameraView {
       element(
         "figcaption",
         {},
-        element("div", { class: "caption" }, element("h3", {}, title), this.#figures, this.#shownRate, this.#pause),
+        element("div", { class: "caption" }, element("h3", {}, title), this.#figures, this.#pause),
         this.#message,
       ),
     );
@@ -95,19 +94,16 @@ class CameraView {
 
   /** Called once a second. */
   sample() {
-    const count = this.#image.takeCount();
-    this.#silentS = count > 0 ? 0 : this.#silentS + 1;
-    setText(this.#shownRate, count > 0 && !this.#isLost ? `${count} shown per second` : "");
-    if (this.#silentS >= SILENT_AFTER_S && !this.#isLost) {
+    const silentS = Math.floor((performance.now() - this.#heardMs) / 1000);
+    if (silentS >= SILENT_AFTER_S && !this.#isLost) {
       const ever = this.#canvas.dataset.stampS !== undefined;
-      this.#showSilence(this.#isPaused ? "paused" : ever ? `no image for ${this.#silentS} s` : "no image yet");
+      this.#showSilence(this.#isPaused ? "paused" : ever ? `no image for ${silentS} s` : "no image yet");
     }
   }
 
   /** The last image of a lost detector stays, but as an old one. */
   #setLost(isLost) {
     if (isLost) {
-      setText(this.#shownRate, "");
       this.#showSilence("lost");
     } else if (this.#isLost) {
       setText(this.#overlay, "waiting for an image");
@@ -121,7 +117,7 @@ class CameraView {
   }
 
   #heard() {
-    this.#silentS = 0;
+    this.#heardMs = performance.now();
     this.element.classList.remove("silent");
   }
 
@@ -142,8 +138,6 @@ function figuresOf({ state, rate_hz: rateHz, latency_ms: latencyMs, latency_p95_
 
 /** The newest annotated image of a camera, drawn as fast as this browser takes them. */
 class ImageView {
-  /** Images drawn since `takeCount` was called. */
-  #drawn = 0;
   #socket = null;
   #timer = 0;
   #pauseMs = FIRST_PAUSE_MS;
@@ -157,12 +151,8 @@ class ImageView {
     this.#shown = shown;
   }
 
-  get isReceiving() {
-    return this.#socket !== null || this.#timer !== 0;
-  }
-
   start() {
-    if (!this.isReceiving) {
+    if (this.#socket === null && this.#timer === 0) {
       this.#connect();
     }
   }
@@ -173,13 +163,6 @@ class ImageView {
     const socket = this.#socket;
     this.#socket = null;
     socket?.close();
-  }
-
-  /** How many images were drawn since the last call. */
-  takeCount() {
-    const count = this.#drawn;
-    this.#drawn = 0;
-    return count;
   }
 
   #connect() {
@@ -208,7 +191,6 @@ class ImageView {
     if (image !== null) {
       this.#paint(image);
       this.canvas.dataset.stampS = stampS;
-      this.#drawn += 1;
       this.#pauseMs = FIRST_PAUSE_MS;
       this.#shown();
     }

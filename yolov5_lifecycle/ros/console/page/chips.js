@@ -13,7 +13,6 @@ export class Chips {
   #value = [];
   #known = [];
   #isUnset = false;
-  #first = [];
   #shown = "";
   #field;
   #filter;
@@ -44,19 +43,15 @@ export class Chips {
 
   show(value) {
     const known = this.#options.hasClassNames ? this.#options.classNames() : [];
-    const isInUse = this.element.contains(document.activeElement);
-    const shown = JSON.stringify([value, known, isInUse]);
-    if (shown === this.#shown) {
-      return; // there may be thousands
+    const shown = JSON.stringify([value, known]);
+    if (shown !== this.#shown) {
+      // There may be thousands.
+      this.#shown = shown;
+      this.#value = value ?? [];
+      this.#isUnset = value === null;
+      this.#known = known;
+      this.#draw();
     }
-    this.#shown = shown;
-    this.#value = value ?? [];
-    this.#isUnset = value === null;
-    this.#known = known;
-    if (!isInUse) {
-      this.#first = this.#value; // a chip stays in its place while it has the keyboard
-    }
-    this.#draw();
   }
 
   forget() {
@@ -65,7 +60,7 @@ export class Chips {
 
   #draw() {
     const words = this.#filter.value.trim().toLowerCase();
-    const names = [...new Set([...this.#first, ...this.#known, ...this.#value])];
+    const names = [...new Set([...this.#known, ...this.#value])];
     const selected = new Set(this.#value);
     const found = names.filter((name) => name.toLowerCase().includes(words));
     const shown = found.filter((name, index) => index < MAX_SHOWN || selected.has(name));
@@ -78,13 +73,11 @@ export class Chips {
   #summary(count, foundCount, shownCount) {
     const { length } = this.#value;
     const whenEmpty = this.#options.hasClassNames ? "none selected: all classes" : "empty";
-    const selection = this.#isUnset ? "not set" : length === 0 ? whenEmpty : "";
-    if (count <= FEW) {
-      return selection;
-    }
+    const some = count > FEW ? `${length} of ${count} selected` : "";
+    const selection = this.#isUnset ? "not set" : length === 0 ? whenEmpty : some;
     const found = foundCount < count ? `${foundCount} of ${count} found` : "";
     const hidden = shownCount < foundCount ? `${foundCount - shownCount} more: find them by name` : "";
-    return [selection || `${length} of ${count} selected`, found, hidden].filter(Boolean).join("; ");
+    return [selection, found, hidden].filter(Boolean).join("; ");
   }
 
   #chip(name) {

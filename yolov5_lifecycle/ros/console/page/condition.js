@@ -3,7 +3,7 @@
 const LEVELS = ["ok", "warning", "error", "stale"];
 const OF_NODE = "detection";
 const DETECTING = "detecting";
-/** The state of a detector of which nothing is heard; its last one is `last_state`. */
+/** The state of a detector of which nothing is heard; its last one is `lastState`. */
 export const LOST = "lost";
 const UNKNOWN = { rate_hz: null, latency_ms: null, latency_p95_ms: null, message: "" };
 const STALE = "Diagnostics have stopped: the detector's process hangs, has ended, or cannot be reached.";
@@ -53,8 +53,8 @@ function lastProblem({ message, values }) {
   return message.includes(problem) ? "" : problem;
 }
 
-/** A detector as the console itself tells of one that is gone, for when the console is not heard either. */
+/** A detector of which nothing is heard any more: nothing old looks current. */
 export function asLost(node) {
   const cameras = node.cameras.map((camera) => ({ ...camera, ...UNKNOWN }));
-  return { ...node, state: LOST, transitions: [], busy: "", cameras };
+  return { ...node, state: LOST, lastState: node.state, transitions: [], cameras };
 }

@@ -20,7 +20,7 @@ export class Connection extends EventTarget {
     window.addEventListener("pagehide", () => this.#socket?.close());
   }
 
-  /** The answer of the console: `{ok, reason, result}`, and `isUnknown` if it may have been done; never rejects. */
+  /** The answer of the console: `{ok, reason, result}`; never rejects. */
   request(message) {
     if (this.#socket?.readyState !== WebSocket.OPEN) {
       return Promise.resolve({ ok: false, reason: "not sent: the connection to the console is lost" });
@@ -55,7 +55,7 @@ export class Connection extends EventTarget {
 
   #lose() {
     for (const resolve of this.#waiting.values()) {
-      resolve({ ok: false, isUnknown: true, reason: "no answer: the connection to the console was lost meanwhile" });
+      resolve({ ok: false, reason: "no answer: the connection to the console was lost meanwhile" });
     }
     this.#waiting.clear();
     this.dispatchEvent(new Event("lost"));

@@ -70,11 +70,6 @@ export class KeyedViews {
     return [...this.#views.values()];
   }
 
-  /** The view of the item with `key`; undefined without one. */
-  viewOf(key) {
-    return this.#views.get(key);
-  }
-
   update(items, keyOf) {
     const keys = new Set(items.map(keyOf));
     for (const [key, view] of this.#views) {

@@ -5,7 +5,6 @@ import { element, KeyedViews, setText } from "./element.js";
 import { NodeView } from "./node_view.js";
 
 const SAMPLE_MS = 1000;
-const FIELDS = 'input[type="text"], input[type="search"], textarea';
 
 class Page {
   #connection = new Connection();
@@ -23,7 +22,6 @@ class Page {
     this.#connection.addEventListener("message", (event) => this.#take(event.detail));
     window.addEventListener("hashchange", () => this.#show());
     document.addEventListener("visibilitychange", () => this.#show());
-    document.addEventListener("keydown", (event) => this.#press(event));
     setInterval(() => this.#views.forEach((view) => view.sample()), SAMPLE_MS);
     this.#connection.start();
   }
@@ -58,15 +56,6 @@ class Page {
       byId("main").append(view.element);
     }
     return view;
-  }
-
-  /** Ctrl-Z takes the last change back, except in a field, where it takes typing back. */
-  #press(event) {
-    const isUndo = (event.ctrlKey || event.metaKey) && !event.shiftKey && !event.altKey && event.key === "z";
-    if (isUndo && !event.target.closest(FIELDS)) {
-      event.preventDefault();
-      this.#views.get(this.#shown)?.undo();
-    }
   }
 
   /** The address decides which detector is shown: the images of another one could wake it. */

@@ -2,12 +2,11 @@
 
 import { CameraViews } from "./camera_view.js";
 import { asLost, conditionCalled, LOST, summaryOf } from "./condition.js";
-import { DiagnosticsView, FrameBalance, LogView } from "./diagnostics_view.js";
+import { DiagnosticsView, LogView } from "./diagnostics_view.js";
 import { element, setText } from "./element.js";
 import { HistoryView } from "./history_view.js";
 import { ParameterList } from "./parameter_list.js";
 import { ReasonView, StateView } from "./state_view.js";
-import { UndoBar } from "./undo_bar.js";
 
 export class NodeView {
   isGone = false;
@@ -17,24 +16,19 @@ export class NodeView {
   #gone = element("p", { class: "notice error", role: "alert", hidden: true });
   #parts;
   #cameras;
-  #parameters;
   #history = new HistoryView();
-  #undo;
 
   constructor(name, connection, isViewOnly) {
     this.name = name;
     this.isViewOnly = isViewOnly;
     const request = (message) => connection.request({ node: name, ...message });
     this.#cameras = new CameraViews(name, request, isViewOnly);
-    this.#undo = new UndoBar(request, (changed, value) => this.#parameters.restore(changed, value));
-    this.#parameters = new ParameterList(request, this.#undo, isViewOnly);
     this.#parts = [
       new StateView(name, request, isViewOnly),
       new ReasonView(),
       this.#cameras,
-      this.#parameters,
+      new ParameterList(request, isViewOnly),
       this.#history,
-      new FrameBalance(),
       new DiagnosticsView(),
       new LogView(),
     ];
@@ -43,7 +37,6 @@ export class NodeView {
       { class: "node", "data-node": name, "aria-label": name },
       this.#gone,
       element("div", { class: "parts" }, ...this.#parts.map((part) => part.element)),
-      this.#undo.element,
     );
   }
 
@@ -59,8 +52,8 @@ export class NodeView {
 
   /** The detector has left: its last values stay, as they may show why. */
   setGone() {
-    this.#setGone(true);
     this.lose();
+    this.#setGone(true);
   }
 
   /** Nothing is heard of the detector until `update`: what is shown is not current. */
@@ -68,11 +61,6 @@ export class NodeView {
     if (this.#node.state !== LOST) {
       this.#take(asLost(this.#node));
     }
-  }
-
-  /** Take the last change of this page back. */
-  undo() {
-    this.#undo.undo();
   }
 
   show(isShown, mayReceive) {
@@ -101,7 +89,7 @@ export class NodeView {
   #setGone(isGone) {
     this.isGone = isGone;
     this.#gone.hidden = !isGone;
-    const last = isGone ? `Its last state was ${this.#node.last_state}. ` : "";
+    const last = isGone ? `Its last state was ${this.#node.lastState}. ` : "";
     const gone =
       `${this.name} is lost, because its process has ended or cannot be reached. ${last}The values shown are old; ` +
       "the page continues automatically when the detector is back.";

@@ -1,7 +1,7 @@
 /** One parameter: its widget, what a pending change waits for, and why a change was refused. */
 
 import { element, setText, uniqueId } from "./element.js";
-import { isChanged, isOverride, shownValue } from "./parameter_values.js";
+import { isChanged, isOverride, isSame, shownValue } from "./parameter_values.js";
 import { widgetFor, widgetKind } from "./parameter_widgets.js";
 
 const SETTLED_MS = 2000;
@@ -13,6 +13,8 @@ const WAITING = {
 
 export class ParameterRow {
   #parameter = null;
+  /** What it was when the page was opened, if it was set and shown. */
+  #first;
   #context;
   #widget = null;
   #kind = "";
@@ -25,9 +27,11 @@ export class ParameterRow {
   #waiting = element("span", { class: "spinner", role: "status" });
   #refusal = element("p", { class: "refusal", role: "alert" });
   #reset = element("button", { type: "button", class: "small reset", hidden: true }, "Default");
+  #back = element("button", { type: "button", class: "small back", hidden: true }, "Back");
   #meaning;
 
   constructor(parameter, context) {
+    this.#first = parameter.value;
     this.#context = context;
     const [label, meaning] = [uniqueId("label"), uniqueId("meaning")];
     this.#label = element("span", { class: "name", id: label }, parameter.name);
@@ -35,10 +39,12 @@ export class ParameterRow {
     const usual = isOverride(parameter.name) ? "the value of the node" : "its default";
     this.#reset.setAttribute("aria-label", `Set ${parameter.name} to ${usual}`);
     this.#reset.addEventListener("click", () => this.#send(this.#usual));
+    this.#back.setAttribute("aria-label", `Set ${parameter.name} to what it was when the page was opened`);
+    this.#back.addEventListener("click", () => this.#send(this.#first));
     this.element = element(
       "div",
       { class: "parameter", role: "group", "aria-labelledby": label, "data-parameter": parameter.name },
-      element("div", { class: "title" }, this.#label, this.#waiting, this.#reset),
+      element("div", { class: "title" }, this.#label, this.#waiting, this.#back, this.#reset),
       this.#place,
       this.#refusal,
       this.#meaning,
@@ -58,7 +64,7 @@ export class ParameterRow {
     this.#parameter = parameter;
     setText(this.#meaning, parameter.description);
     this.#meaning.title = parameter.constraints;
-    const isFixed = this.#context.isViewOnly || parameter.read_only;
+    const isFixed = this.#context.isViewOnly || parameter.change === "read_only";
     const kind = widgetKind(parameter, isFixed);
     if (kind !== this.#kind) {
       this.#kind = kind;
@@ -67,17 +73,24 @@ export class ParameterRow {
         classNames: this.#context.classNames,
         labelId: this.#label.id,
         meaningId: this.#meaning.id,
-        changed: (value, gesture) => this.#send(value, gesture),
+        changed: (value) => this.#send(value),
         refused: (reason) => setText(this.#refusal, reason),
       });
       this.#place.replaceChildren(this.#widget.element);
     }
     this.element.classList.toggle("changed", isChanged(parameter));
-    const canReset = parameter.is_shown && isChanged(parameter) && !isFixed && (this.#usual !== null || isOverride(parameter.name));
-    // A button that has the keyboard stays until it is left: focus would be lost.
-    this.#reset.hidden = !canReset && document.activeElement !== this.#reset;
-    this.#reset.title = canReset ? `Default: ${shownValue(this.#usual)}` : "";
+    const canSet = parameter.is_shown && !isFixed;
+    this.#offer(this.#reset, canSet && isChanged(parameter), this.#usual);
+    const isOther = [parameter.value, this.#usual].every((value) => !isSame(value, this.#first));
+    this.#offer(this.#back, canSet && this.#first !== null && isOther, this.#first);
     this.#show();
+  }
+
+  /** Show the `button` that sets `value`, or hide it. */
+  #offer(button, isUseful, value) {
+    // A button that has the keyboard stays until it is left: focus would be lost.
+    button.hidden = !isUseful && document.activeElement !== button;
+    button.title = isUseful ? `${button.textContent}: ${shownValue(value)}` : "";
   }
 
   applyFilter(words) {
@@ -87,8 +100,8 @@ export class ParameterRow {
   }
 
   /** One request at a time; of values set meanwhile, only the last is sent. */
-  async #send(value, gesture) {
-    this.#next = { value, gesture };
+  async #send(value) {
+    this.#next = { value };
     if (this.#isSending) {
       this.#show(); // the next change builds on it
       return;
@@ -102,38 +115,21 @@ export class ParameterRow {
     }
     this.#isSending = false;
     this.#setWaiting(false);
-    this.#showSoon();
-  }
-
-  #showSoon() {
     this.#show();
     // The node may have converted it and already reported the result.
     setTimeout(() => this.#show(), SETTLED_MS + 1);
   }
 
-  async #request({ value, gesture }) {
-    const change = { name: this.#parameter.name, before: this.#known, after: value, gesture };
+  async #request({ value }) {
     this.#setWaiting(true);
     this.#accepted = { value, untilMs: Infinity };
     this.#show();
-    const [{ ok, reason }] = await Promise.all([this.#context.set(change), pause(BETWEEN_MS)]);
+    const [{ ok, reason }] = await Promise.all([this.#context.set(this.#parameter.name, value), pause(BETWEEN_MS)]);
     setText(this.#refusal, reason);
     this.#accepted = ok ? { value, untilMs: performance.now() + SETTLED_MS } : null;
     if (!ok) {
       this.#widget.forget?.();
     }
-  }
-
-  /** The last value that the node has reported or accepted. */
-  get #known() {
-    return (this.#accepted ?? this.#parameter).value;
-  }
-
-  /** Show `value`, which was set by other means, before the node reports it. */
-  restore(value) {
-    this.#accepted = { value, untilMs: performance.now() + SETTLED_MS };
-    setText(this.#refusal, "");
-    this.#showSoon();
   }
 
   #setWaiting(isWaiting) {

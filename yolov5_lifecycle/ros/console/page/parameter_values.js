@@ -7,11 +7,6 @@ export function isChanged({ name, value, is_shown: isShown, default: usual }) {
   return !isShown || (value !== null && (isOverride(name) || !isSame(value, usual)));
 }
 
-/** Whether a parameter has a value, be it a hidden one. */
-export function isSet({ value, is_shown: isShown }) {
-  return value !== null || !isShown;
-}
-
 /** Whether the parameter is that of one camera, such as `front.max_rate`: without a value, the node's applies. */
 export function isOverride(name) {
   return name.includes(".");

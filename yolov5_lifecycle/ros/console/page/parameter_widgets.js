@@ -3,9 +3,6 @@
 import { Chips } from "./chips.js";
 import { element, plainField, setText } from "./element.js";
 import { shownValue } from "./parameter_values.js";
-import { TouchDrag } from "./touch_drag.js";
-
-let lastGesture = 0;
 
 /** Changes when a parameter needs another widget. */
 export function widgetKind({ type, range, choices, is_shown: isShown }, isFixed) {
@@ -15,8 +12,7 @@ export function widgetKind({ type, range, choices, is_shown: isShown }, isFixed)
 /**
  * `{element, show(value), forget()}` for a parameter; `forget`, which not all have, drops what was typed.
  *
- * `options`: `changed(value, gesture)` is called with each value to set; changes of one gesture have the same
- * number. `refused(reason)` is called for invalid input.
+ * `options`: `changed(value)` is called with each value to set, `refused(reason)` for invalid input.
  */
 export function widgetFor(parameter, options) {
   if (!parameter.is_shown) {
@@ -149,8 +145,6 @@ class Slider {
   #changed;
   #value = null;
   #isDragged = false;
-  #gesture = 0;
-  #touch;
 
   constructor({ type, range, change }, options) {
     const step = stepOf(type, range);
@@ -164,15 +158,9 @@ class Slider {
       max: range.to,
       step,
       ...labelled(options),
-      onpointerdown: () => this.#begin(),
-      onkeydown: (event) => event.repeat || this.#begin(),
       oninput: () => this.#move(),
       onchange: () => this.#commit(),
-    });
-    this.#touch = new TouchDrag(this.#slider, {
-      begin: () => this.#begin(),
-      commit: () => this.#commit(),
-      cancel: () => this.#cancel(),
+      onpointercancel: () => this.#cancel(),
     });
     this.element = element("div", { class: "slider" }, this.#slider, this.#field.element);
   }
@@ -194,20 +182,11 @@ class Slider {
     return Math.max(this.#from, Number(this.#slider.value));
   }
 
-  #begin() {
-    lastGesture += 1;
-    this.#gesture = lastGesture;
-  }
-
   #move() {
-    if (this.#touch.isIgnored) {
-      this.show(this.#value);
-      return;
-    }
     this.#isDragged = true;
     this.#field.show(this.#valueNow);
     if (this.#isLive) {
-      this.#changed(this.#valueNow, this.#gesture);
+      this.#changed(this.#valueNow);
     }
   }
 
@@ -215,17 +194,17 @@ class Slider {
     const wasDragged = this.#isDragged;
     this.#isDragged = false;
     if (wasDragged && !this.#isLive) {
-      this.#changed(this.#valueNow, this.#gesture);
+      this.#changed(this.#valueNow);
     }
   }
 
-  /** Back to the value before the drag. */
+  /** Back to the value before the drag: the finger scrolls the page. */
   #cancel() {
     const wasDragged = this.#isDragged;
     this.#isDragged = false;
     this.show(this.#value);
     if (wasDragged && this.#isLive) {
-      this.#changed(this.#value, this.#gesture);
+      this.#changed(this.#value);
     }
   }
 }

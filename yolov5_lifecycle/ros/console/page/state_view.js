@@ -18,7 +18,7 @@ export class StateView {
   constructor(name, request, isViewOnly) {
     this.#request = request;
     const buttons = element("div", { class: "buttons", role: "group", "aria-label": "Transitions" });
-    this.#buttons = new KeyedViews(buttons, (transition) => this.#button(transition.label));
+    this.#buttons = new KeyedViews(buttons, (label) => this.#button(label));
     this.element = panel(
       "head",
       "State",
@@ -33,8 +33,7 @@ export class StateView {
 
   update(node) {
     this.#showState(node.state);
-    this.#show(node.busy);
-    this.#buttons.update(node.transitions, (transition) => transition.label);
+    this.#buttons.update(node.transitions, (label) => label);
   }
 
   #showState(state) {
@@ -46,11 +45,12 @@ export class StateView {
     setText(this.#state, state);
   }
 
-  #show(busy) {
-    const shown = busy || (this.#pending && `${this.#pending} ...`);
-    setText(this.#busy, shown);
-    this.element.setAttribute("aria-busy", String(shown !== ""));
-    this.element.classList.toggle("busy", shown !== "");
+  /** `label`: the transition that is requested, "" for none. */
+  #setPending(label) {
+    this.#pending = label;
+    setText(this.#busy, label && `${label} ...`);
+    this.element.setAttribute("aria-busy", String(label !== ""));
+    this.element.classList.toggle("busy", label !== "");
   }
 
   #button(label) {
@@ -80,12 +80,10 @@ export class StateView {
     if (this.#pending) {
       return;
     }
-    this.#pending = label;
+    this.#setPending(label);
     setText(this.#refusal, "");
-    this.#show("");
     const { reason } = await this.#request({ type: "transition", label });
-    this.#pending = "";
-    this.#show("");
+    this.#setPending("");
     setText(this.#refusal, reason);
   }
 }
