@@ -35,6 +35,7 @@ from yolov5_lifecycle.evaluation.matching import (
 )
 from yolov5_lifecycle.evaluation.thresholds import Goal, chosen_thresholds, threshold_yaml
 from yolov5_lifecycle.offline.evaluate.evaluating import Evaluation
+from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.value_text import value_text
 
@@ -59,7 +60,6 @@ class EvaluationResult:
     def __init__(
         self,
         source: Path,
-        kind: str,
         classes: EvaluatedClasses,
         evaluations: Sequence[Evaluation],
         problems: Problems,
@@ -77,7 +77,7 @@ class EvaluationResult:
             "format": FORMAT,
             "data": {
                 "path": str(source),
-                "kind": kind,
+                "kind": kind_of(source),
                 "images": len(first.images),
                 "objects": all_classes["objects"],
                 "classes_left_out": classes.left_out,
