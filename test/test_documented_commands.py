@@ -203,7 +203,7 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
     dataset.write_dataset(tmp_path / "shapes", images=2)
     quota = Quota(max_bytes=1 << 20, max_frames=9, min_free_bytes=0)
-    for seed, folder in enumerate(("corrected", "collected", "collected", "robot_1", "robot_2")):
+    for seed, folder in enumerate(("corrected", "collected", "collected")):
         with closing(CollectedFolder(tmp_path / folder, quota)) as collected:
             keep(collected, seed, names=CLASS_NAMES)
     (tmp_path / "drives").mkdir()

@@ -1,18 +1,16 @@
-"""The command `collected`: what a detector has collected, looked at, merged, split and removed."""
+"""The command `collected`: what a detector has collected, looked at, split and removed."""
 
 from __future__ import annotations
 
 import base64
 import os
 import re
-import shutil
 import subprocess
 import time
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -26,7 +24,6 @@ from yolov5_lifecycle.collecting.collected_files import FRAMES, LABELS, Collecte
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.offline.collected import command
 from yolov5_lifecycle.offline.collected.command import main, validation_sessions
 from yolov5_lifecycle.ros.child_process import entry_point
 
@@ -182,60 +179,6 @@ def test_validation_has_about_its_share(counts: list[int], share: float, validat
     assert validation_sessions(by_session, share) == [f"{session:02d}" for session in validation]
 
 
-def test_folders_of_several_robots_become_one_with_classes_by_name(tmp_path: Path) -> None:
-    one = collected(tmp_path / "one", 2)
-    other = collected(tmp_path / "other", 1, names=("bird", "cat"))
-    corrected = next((one / "labels").rglob("*.txt"))
-    corrected.write_text("1 0.5 0.5 0.5 0.5\n\n0 0.5 0.5 0.25 0.25 0.75 0.75\n")
-    assert run("merge", one, other, "--output", tmp_path / "all") == 0
-    told: list[str] = []
-    data = read_yolo_folder(tmp_path / "all", Problems(told.append))
-    assert (data.class_names, told) == (("cat", "dog", "bird"), [])
-    assert sorted(image.labels.boxes.class_ids.tolist() for image in data.images) == [[0], [1, 0], [2]]
-    assert len(frames_of(tmp_path / "all")) == 3
-    with closing(CollectedFolder(tmp_path / "all", QUOTA)) as merged:
-        assert len(merged) == 3
-
-
-def test_an_image_of_several_folders_is_merged_once_with_the_labels_of_the_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    robot = collected(tmp_path / "robot", 2)
-    corrected = tmp_path / "corrected"
-    shutil.copytree(robot, corrected)
-    labels = next((corrected / "labels").rglob("000001*.txt"))
-    labels.write_text("1 0.5 0.5 0.5 0.5\n")
-    assert run("merge", corrected, robot, "--output", tmp_path / "all") == 0
-    assert "2 images; 2 that a folder before had" in capsys.readouterr().out
-    assert len(frames_of(tmp_path / "all")) == 2
-    assert (tmp_path / "all" / labels.relative_to(corrected)).read_text() == labels.read_text()
-
-
-@pytest.mark.parametrize(
-    ("line", "told"),
-    [
-        pytest.param("9 0.5 0.5 0.5 0.5\n", "expected a class from 0 to 1", id="class"),
-        pytest.param("0 0.5 0.5 0.5 0.5\n" * 10_001, "found 10001 objects", id="many objects"),
-    ],
-)
-def test_labels_that_cannot_be_used_are_not_merged(
-    line: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    one = collected(tmp_path / "one", 1)
-    next((one / "labels").rglob("*.txt")).write_text(line)
-    assert run("merge", one, "--output", tmp_path / "all") == 1
-    assert told in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("line", ["0\v0.5 0.5 0.2 0.2", "0 0.5\u20280.5 0.2 0.2", "0 0.5 0.5 0.2 0.2\x85"])
-def test_a_line_of_labels_stays_one_line(tmp_path: Path, line: str) -> None:
-    robot = collected(tmp_path / "robot", 1)
-    next((robot / "labels").rglob("*.txt")).write_text(line)
-    assert run("merge", robot, "--output", tmp_path / "all") == 0
-    (merged,) = (tmp_path / "all" / "labels").rglob("*.txt")
-    assert merged.read_text() == "0 0.5 0.5 0.2 0.2\n"
-
-
 @pytest.mark.parametrize("linked", ["{image}", "{labels}", "{record}", FRAMES])
 def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
     tmp_path: Path, linked: str, capsys: pytest.CaptureFixture[str]
@@ -246,21 +189,11 @@ def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
     before = sorted(tmp_path.rglob("*"))
-    commands = ("show", "split", "remove --session nothing", f"sheet --output {new}", f"merge --output {new}")
+    commands = ("show", "split", "remove --session nothing", f"sheet --output {new}")
     for action, *options in map(str.split, commands):
         assert run(action, robot, *options) == 1
         assert "found a link; replace it by a copy" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
-
-
-@pytest.mark.parametrize("what", ["images", "classes"])
-def test_folders_that_are_no_data_set_together_are_not_merged(
-    tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folders = collected(tmp_path / "one", 1), collected(tmp_path / "other", 1, names=("bird",))
-    monkeypatch.setattr(command, f"MAX_{what.upper()}", 1 if what == "images" else 2, raising=False)
-    assert run("merge", *folders, "--output", tmp_path / "all") == 1
-    assert f"{what}, found" in capsys.readouterr().err
 
 
 def test_records_that_are_too_large_together_are_not_read(
@@ -269,15 +202,6 @@ def test_records_that_are_too_large_together_are_not_read(
     monkeypatch.setattr(collected_files, "MAX_RECORDS_BYTES", 1000)
     assert run("show", collected(tmp_path / "robot", 2)) == 1
     assert "expected at most 1,000 bytes, found more; use another folder" in capsys.readouterr().err
-
-
-def test_more_than_the_disk_can_take_is_not_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    robot = collected(tmp_path / "robot", 1)
-    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
-    assert run("merge", robot, "--output", tmp_path / "all") == 1
-    assert "expected at most 1,000 bytes, which are free on the disk, found" in capsys.readouterr().err
 
 
 def test_a_folder_whose_name_is_no_text_has_a_sheet(tmp_path: Path) -> None:
@@ -331,7 +255,7 @@ def test_nothing_is_removed_while_a_detector_collects(
     ("words", "message"),
     [
         (["split", "one session"], "at least two sessions, found 1"),
-        (["merge", "nameless", "--output", "new"], "data.yaml is missing"),
+        (["split", "nameless"], "data.yaml is missing"),
         (["show", "missing"], "expected the collect_dir of a detector"),
         (["remove", "."], "remove needs --session or --reason"),
         (["split", ".", "--share", "1"], "between 0 and 1"),
@@ -349,7 +273,7 @@ def test_what_cannot_be_done_is_told(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     collected(tmp_path / "one session", 1)
-    (collected(tmp_path / "nameless", 1) / "data.yaml").unlink()
+    (collected(tmp_path / "nameless", 1, 1) / "data.yaml").unlink()
     try:
         code = run(*words)
     except SystemExit as end:

@@ -12,17 +12,15 @@ MAX_SHOWN = 10_000
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """The argument parser of the command; every action has `folders`."""
+    """The argument parser of the command; every action has a `folder`."""
     parser = CommandParser(
-        "collected", description="Show, merge, split and clear out what a detector has collected."
+        "collected", description="Show, split and clear out what a detector has collected."
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
-    def action(name: str, told: str, *, folders: int | str = 1) -> argparse.ArgumentParser:
+    def action(name: str, told: str) -> argparse.ArgumentParser:
         of_action = actions.add_parser(name, help=told)
-        of_action.add_argument(
-            "folders", type=Path, nargs=folders, metavar="FOLDER", help="the collect_dir of a detector"
-        )
+        of_action.add_argument("folder", type=Path, metavar="FOLDER", help="the collect_dir of a detector")
         return of_action
 
     action("show", "how many images there are, and why they were kept")
@@ -43,8 +41,6 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="SHARE",
         help="about this share of the images is for validation; default: %(default)s",
     )
-    merge = action("merge", "copy the images of several robots into a new folder", folders="+")
-    merge.add_argument("--output", type=Path, required=True, metavar="NEW", help="a new folder")
     remove = action("remove", "remove images, while no detector collects into the folder")
     remove.add_argument("--session", action="append", default=[], help="those of this session")
     remove.add_argument(
