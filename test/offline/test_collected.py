@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import os
-import re
 import subprocess
 import time
 from collections import Counter
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
-from numpy.typing import NDArray
-from support.candidates import CLASS_NAMES, add, candidate, found, frames_of, images_of, keep
+from support.candidates import CLASS_NAMES, add, candidate, frames_of, images_of, keep
 
 from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.candidate import Detail, Trigger
@@ -78,74 +71,6 @@ def test_the_command_shows_what_is_there_as_a_process(tmp_path: Path) -> None:
     assert ended.stdout.startswith("images         2\n")
 
 
-def test_the_sheet_is_one_page_with_every_image_and_its_reason(tmp_path: Path) -> None:
-    folder = collected(tmp_path / "robot <1>", 2)
-    with closing(CollectedFolder(folder, QUOTA)) as into:
-        white = replace(candidate(7).image, pixels=np.full((900, 1600, 3), 255, np.uint8))
-        box = found(("dog", 0.9, (400, 200, 1200, 700)))
-        reasons = {Trigger.NOVEL: Detail("<script>alert(1)</script>")}
-        add(into, candidate(7, image=white, detections=box, reasons=reasons))
-    sheet = tmp_path / "sheet.html"
-    assert run("sheet", folder, "--output", sheet) == 0
-    page = sheet.read_text()
-    assert re.findall(r"<h2>(.*?)</h2>", page) == ["class: 2", "novel: 1"]
-    assert "<script" not in page
-    assert "3 collected images: robot &lt;1&gt;" in page
-    assert "http" not in page
-    assert [max(picture.shape) for picture in pictures(page)] == [64, 64, 320]
-    white_box = pictures(page)[2]
-    assert white_box[90, 160].min() > 240  # in the box
-    assert white_box[40:140, 75:85].min() < 200  # its left side
-
-
-def test_a_class_has_the_same_colour_in_every_image(tmp_path: Path) -> None:
-    white = replace(candidate(0).image, pixels=np.full((300, 300, 3), 255, np.uint8))
-    dog, cat = found(("dog", 0.9, (100, 100, 200, 200))), found(("cat", 0.9, (10, 100, 60, 200)))
-    both = found(("cat", 0.9, (10, 100, 60, 200)), ("dog", 0.8, (100, 100, 200, 200)))
-    with closing(CollectedFolder(tmp_path / "robot", QUOTA)) as into:
-        for seed, detections in enumerate([dog, both, cat]):
-            add(into, candidate(seed, image=white, detections=detections))
-    assert run("sheet", tmp_path / "robot", "--output", tmp_path / "sheet.html") == 0
-    alone, together, _ = pictures((tmp_path / "sheet.html").read_text())
-    np.testing.assert_allclose(alone[150, 100].astype(int), together[150, 100], atol=30)
-
-
-def pictures(page: str) -> list[NDArray[np.uint8]]:
-    return [
-        np.asarray(cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR), np.uint8)
-        for data in re.findall(r'base64,([^"]+)"', page)
-    ]
-
-
-def test_the_sheet_has_the_most_valuable_images_and_replaces_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = collected(tmp_path / "robot", 3)
-    sheet = tmp_path / "sheet.html"
-    assert run("sheet", folder, "--output", sheet, "--most", 2) == 0
-    assert sheet.read_text().count("<figure>") == 2
-    assert run("sheet", folder, "--output", sheet) == 1
-    assert "exists" in capsys.readouterr().err
-
-
-def test_an_image_that_cannot_be_read_is_told_in_its_place(tmp_path: Path) -> None:
-    folder = collected(tmp_path / "robot", 2)
-    (folder / frames_of(folder)[0].image).write_bytes(b"no image")
-    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
-    page = (tmp_path / "sheet.html").read_text()
-    assert page.count("<img") == 1
-    assert page.count("<figure>") == 2
-
-
-def test_a_box_from_elsewhere_does_not_end_the_sheet(tmp_path: Path) -> None:
-    folder = collected(tmp_path / "robot", 1)
-    (frame,) = frames_of(folder)
-    strange = frame.objects[0].model_copy(update={"box_xyxy": (1e308, -1e308, -5.0, 7.0)})
-    changed = frame.model_copy(update={"objects": (strange, *frame.objects)})
-    write_record(folder, changed)
-    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
-
-
 def test_whole_sessions_are_for_training_or_validation(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 6, 2, 2)
     assert run("split", folder, "--share", 0.2) == 0
@@ -183,13 +108,13 @@ def test_validation_has_about_its_share(counts: list[int], share: float, validat
 def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
     tmp_path: Path, linked: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    robot, new = collected(tmp_path / "robot", 1, 1), tmp_path / "new"
+    robot = collected(tmp_path / "robot", 1, 1)
     image = images_of(robot)[0].path
     inner = robot / linked.format(image=image, labels=file_of(image, LABELS), record=file_of(image, FRAMES))
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
     before = sorted(tmp_path.rglob("*"))
-    commands = ("show", "split", "remove --session nothing", f"sheet --output {new}")
+    commands = ("show", "split", "remove --session nothing")
     for action, *options in map(str.split, commands):
         assert run(action, robot, *options) == 1
         assert "found a link; replace it by a copy" in capsys.readouterr().err
@@ -202,23 +127,6 @@ def test_records_that_are_too_large_together_are_not_read(
     monkeypatch.setattr(collected_files, "MAX_RECORDS_BYTES", 1000)
     assert run("show", collected(tmp_path / "robot", 2)) == 1
     assert "expected at most 1,000 bytes, found more; use another folder" in capsys.readouterr().err
-
-
-def test_a_folder_whose_name_is_no_text_has_a_sheet(tmp_path: Path) -> None:
-    folder = collected(tmp_path / os.fsdecode(b"robot\xff"), 1)
-    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
-    assert "robot?" in (tmp_path / "sheet.html").read_text()
-
-
-@pytest.mark.long
-def test_thirty_thousand_names_cost_no_more_than_their_number(tmp_path: Path) -> None:
-    folder = collected(tmp_path / "robot", 1)
-    (frame,) = frames_of(folder)
-    objects = [frame.objects[0].model_copy(update={"class_name": f"{number:05}"}) for number in range(30_000)]
-    write_record(folder, frame.model_copy(update={"objects": tuple(objects)}))
-    begin_s = time.process_time()
-    assert run("sheet", folder, "--output", tmp_path / "sheet.html") == 0
-    assert time.process_time() - begin_s < 2
 
 
 def test_twenty_thousand_sessions_cost_no_more_than_their_number() -> None:
@@ -259,8 +167,6 @@ def test_nothing_is_removed_while_a_detector_collects(
         (["show", "missing"], "expected the collect_dir of a detector"),
         (["remove", "."], "remove needs --session or --reason"),
         (["split", ".", "--share", "1"], "between 0 and 1"),
-        (["sheet", ".", "--output", "x", "--most", "0"], "from 1 to 10000"),
-        (["sheet", ".", "--output", "x", "--most", "all"], "expected a number of images from 1 to 10000"),
         ([], "ACTION"),
     ],
 )

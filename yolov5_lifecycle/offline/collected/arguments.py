@@ -5,10 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
-
-MAX_SHOWN = 10_000
-"""Images on one contact sheet; each takes about 15 kB."""
+from yolov5_lifecycle.commands.command_line import CommandParser
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -24,15 +21,6 @@ def command_parser() -> argparse.ArgumentParser:
         return of_action
 
     action("show", "how many images there are, and why they were kept")
-    sheet = action("sheet", "write one HTML file with all images, sorted by reason")
-    sheet.add_argument("--output", type=Path, required=True, metavar="SHEET.html", help="a new file")
-    sheet.add_argument(
-        "--most",
-        type=count_up_to(MAX_SHOWN, "images"),
-        default=500,
-        metavar="N",
-        help="show the N most valuable images; default: %(default)s",
-    )
     split = action("split", "write split.yaml: whole sessions for training or validation")
     split.add_argument(
         "--share",

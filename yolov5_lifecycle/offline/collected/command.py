@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 
-from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.collecting.collected_files import (
     FRAMES,
     IMAGES,
@@ -19,7 +18,6 @@ from yolov5_lifecycle.collecting.collected_files import (
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.offline.collected.arguments import command_parser
-from yolov5_lifecycle.offline.collected.contact_sheet import contact_sheet, first_reason
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 
@@ -42,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 f"{folder}: expected the collect_dir of a detector, found no {FRAMES} in it"
             )
         return write_output(_COMMAND, _ACTIONS[arguments.action](arguments))
-    except (CollectingError, OutputError, OSError) as error:
+    except (CollectingError, OSError) as error:
         complain(_COMMAND, in_one_line(str(error)))
         return 1
 
@@ -64,17 +62,6 @@ def _show(arguments: argparse.Namespace) -> str:
         most = counter.most_common(MAX_CLASSES)
         shown += [f"{kind:8}{count:8}  {in_one_line(name)}" for name, count in most]
     return "\n".join(shown) + "\n"
-
-
-def _sheet(arguments: argparse.Namespace) -> str:
-    folder = arguments.folder
-    found = [(kept, first_reason(frame)) for kept, frame in kept_images(folder)]
-    images = sorted(found, key=lambda each: -each[0].value)[: arguments.most]
-    class_names = read_class_names(folder, is_used=False)
-    with whole_output(arguments.output) as unfinished, unfinished.open("w", encoding="utf-8") as file:
-        title = f"{len(images)} collected images: {folder.resolve().name}"
-        file.writelines(contact_sheet(folder, images, class_names, title=title))
-    return f"{arguments.output}: {len(images)} images\n"
 
 
 def _split(arguments: argparse.Namespace) -> str:
@@ -127,7 +114,6 @@ def _remove(arguments: argparse.Namespace) -> str:
 
 _ACTIONS: Mapping[str, Callable[[argparse.Namespace], str]] = {
     "show": _show,
-    "sheet": _sheet,
     "split": _split,
     "remove": _remove,
 }
