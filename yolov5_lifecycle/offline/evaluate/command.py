@@ -55,6 +55,7 @@ def _evaluated(
     arguments: argparse.Namespace, options: DataOptions, reports: _Reports, prepare: Prepare
 ) -> str:
     """What is printed; the files are written."""
+    kind = kind_of(arguments.data)
     wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
         wanted.append(_settings(arguments, _compared(arguments.compare)))
@@ -69,7 +70,7 @@ def _evaluated(
         )
         reports.begin("computing the figures")
         result = EvaluationResult(
-            arguments.data, classes, evaluations, reports.problems, arguments.thresholds
+            arguments.data, kind, classes, evaluations, reports.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
         if folder is not None:

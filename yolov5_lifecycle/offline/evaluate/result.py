@@ -31,7 +31,6 @@ from yolov5_lifecycle.evaluation.matching import (
 )
 from yolov5_lifecycle.evaluation.thresholds import Goal, chosen_thresholds, threshold_yaml
 from yolov5_lifecycle.offline.evaluate.evaluating import Evaluation
-from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.value_text import value_text
 
@@ -54,6 +53,7 @@ class EvaluationResult:
     def __init__(
         self,
         source: Path,
+        kind: str,
         classes: EvaluatedClasses,
         evaluations: Sequence[Evaluation],
         problems: Problems,
@@ -71,7 +71,7 @@ class EvaluationResult:
             "format": FORMAT,
             "data": {
                 "path": str(source),
-                "kind": kind_of(source),
+                "kind": kind,
                 "images": len(first.images),
                 "objects": all_classes["objects"],
                 "classes_left_out": classes.left_out,
