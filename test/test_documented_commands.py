@@ -23,7 +23,6 @@ from support.candidates import keep
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE, STEPS, environment
-from support.evaluated_offline import labelled_drive
 from support.file_server import FileServer, sending_ranges
 from support.pages import (
     PAGES,
@@ -202,10 +201,9 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
     (tmp_path / "models" / "yolov5n-seg.pt").write_bytes(segmentation_checkpoint())
     (tmp_path / "my_detector.yaml").write_text(blocks(TUTORIAL, "yaml")[0])
     record(tmp_path / "drive", [raw(0)], storage=StoragePlugin.MCAP)
-    labelled_drive(tmp_path / "corrected_drive")
     dataset.write_dataset(tmp_path / "shapes", images=2)
     quota = Quota(max_bytes=1 << 20, max_frames=9, min_free_bytes=0)
-    for seed, folder in enumerate(("corrected", "collected", "collected", "robot_1", "robot_2")):
+    for seed, folder in enumerate(("corrected", "collected", "collected")):
         with closing(CollectedFolder(tmp_path / folder, quota)) as collected:
             keep(collected, seed, names=CLASS_NAMES)
     (tmp_path / "drives").mkdir()

@@ -16,12 +16,6 @@ MAX_VALUES = 500_000
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class PlainText(str):
-    """A text without quotes."""
-
-    __slots__ = ()
-
-
 def texts_of(data: bytes | str) -> object:
     """The first document in `data` as text, list or mapping; {} if there is none.
 
@@ -60,7 +54,7 @@ def _value(events: Iterator[yaml.Event], event: yaml.Event, depth: int) -> objec
     if depth > MAX_DEPTH:
         raise ValueError(f"line {_line(event)}: nested more than {MAX_DEPTH} deep")
     if isinstance(event, yaml.ScalarEvent):
-        return PlainText(event.value) if event.implicit[0] else event.value
+        return str(event.value)
     if isinstance(event, yaml.SequenceStartEvent):
         return [_value(events, item, depth + 1) for item in _until(events, yaml.SequenceEndEvent)]
     keys = _until(events, yaml.MappingEndEvent)

@@ -160,9 +160,9 @@ def test_average_precision_is_that_of_its_definition(seed: int) -> None:
 def test_without_detections_everything_is_missed_and_without_objects_there_is_no_figure() -> None:
     images = [replace(image, found=image.found[:0]) for image in random_images(3, 5)]
     together, *_, dragon = rows(match(images, (*CLASS_NAMES, "dragon")), np.full(4, 0.25))
-    assert together.objects == sum(len(image.truth) for image in images) > 0
-    assert (together.right, together.wrong, together.figures["ap50"]) == (0, 0, 0)
-    assert np.isnan([together.figures["precision"], *dragon.figures.values()]).all()
+    assert together["objects"] == sum(len(image.truth) for image in images) > 0
+    assert (together["right"], together["wrong"], together["ap50"]) == (0, 0, 0)
+    assert np.isnan([together["precision"], *(dragon[metric] for metric in METRICS)]).all()
 
 
 DATA = ("dog", "unicorn", "cat", "bird")
@@ -250,9 +250,9 @@ def test_all_classes_together_have_the_counts_of_each_and_the_mean_precision_of_
     names = (*CLASS_NAMES, "dragon")
     together, *each = rows(match(random_images(7, 20), names), np.array((0.2, 0.5, 0.8, 0.5)))
     for name in ("right", "wrong", "objects"):
-        assert getattr(together, name) == sum(getattr(row, name) for row in each)
-    assert together.figures["ap50"] == pytest.approx(np.mean([row.figures["ap50"] for row in each[:3]]))
-    assert max(row.images for row in each) <= together.images <= 20
+        assert together[name] == sum(row[name] for row in each)
+    assert together["ap50"] == pytest.approx(np.mean([row["ap50"] for row in each[:3]]))
+    assert max(row["images"] for row in each) <= together["images"] <= 20
     assert np.isnan(mean_of_classes(np.array((np.nan, np.nan))))
 
 
@@ -272,9 +272,9 @@ def test_the_confusion_matrix_has_each_object_and_detection_once(threshold: floa
     matches = match(images, CLASS_NAMES)
     counts = confusion_matrix(images, matches, np.full(3, threshold))
     _, *each = rows(matches, np.full(3, threshold))
-    assert np.diagonal(counts).tolist() == [*(row.right for row in each), 0]
-    assert counts[:-1].sum(axis=1).tolist() == [row.objects for row in each]
-    assert counts[:, :-1].sum(axis=0).tolist() == [row.right + row.wrong for row in each]
+    assert np.diagonal(counts).tolist() == [*(row["right"] for row in each), 0]
+    assert counts[:-1].sum(axis=1).tolist() == [row["objects"] for row in each]
+    assert counts[:, :-1].sum(axis=0).tolist() == [row["right"] + row["wrong"] for row in each]
 
 
 def test_an_object_that_another_class_was_found_on_is_confused_with_it() -> None:
@@ -365,7 +365,7 @@ def test_a_resample_has_the_figures_of_the_images_that_were_drawn(
         for number, row in enumerate(rows(match(drawn, CLASS_NAMES), THRESHOLDS)):
             for metric in METRICS:
                 found = samples[metric][draw, number]
-                assert found == pytest.approx(row.figures[metric], abs=1e-9, nan_ok=True), (metric, number)
+                assert found == pytest.approx(row[metric], abs=1e-9, nan_ok=True), (metric, number)
 
 
 def test_the_draws_are_the_same_in_every_run() -> None:

@@ -27,12 +27,11 @@ from yolov5_lifecycle.settings.parameter_file import MAX_FILE_BYTES
 DATA = "data.yaml"
 IMAGES, LABELS, FRAMES = "images", "labels", "frames"
 SUFFIXES = {IMAGES: ".jpg", LABELS: ".txt", FRAMES: ".json"}
-MAX_IMAGE_BYTES = 256 << 20
 MAX_RECORD_BYTES = 32 << 20
 """One of 30,000 objects with the longest names has 30 MB, one of 1,000 usual ones 150 kB."""
 MAX_RECORDS_BYTES = 4 << 30
 """Of all records in a folder; 20,000 of 1,000 objects have 3 GB."""
-_MAX_BYTES = {IMAGES: MAX_IMAGE_BYTES, LABELS: MAX_LABEL_BYTES, FRAMES: MAX_RECORD_BYTES}
+_MAX_BYTES = {IMAGES: 256 << 20, LABELS: MAX_LABEL_BYTES, FRAMES: MAX_RECORD_BYTES}
 _MAX_VALUES = 300_000
 """Of a record, and lists and objects in it: one of 30,000 objects has 240,000. Each takes up to 300 bytes."""
 MAX_EMBEDDING = 8192
@@ -172,18 +171,12 @@ def kept_images(folder: Path) -> Iterator[tuple[KeptImage, CollectedFrame]]:
                 "use another folder"
             )
         try:
-            frame = read_record(folder, image)
+            frame = CollectedFrame.of_json((folder / file_of(image, FRAMES)).read_bytes())
         except (ValueError, FileNotFoundError):  # a detector may just have removed it
             continue
+        if frame.image != image:
+            continue
         yield KeptImage(image, frame.value, sum(filter(None, sizes.values()))), frame
-
-
-def read_record(folder: Path, image: str) -> CollectedFrame:
-    """The record of an image of `kept_images`. Raises ValueError and OSError."""
-    frame = CollectedFrame.of_json((folder / file_of(image, FRAMES)).read_bytes())
-    if frame.image != image:
-        raise ValueError(f"expected the record of {image}, found that of {frame.image}")
-    return frame
 
 
 def _check_no_link(path: Path) -> None:

@@ -10,8 +10,9 @@ cancels in the difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,39 +71,26 @@ def mean_of_classes(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return share(np.where(known, values, 0).sum(axis=-1), known.sum(axis=-1))
 
 
-@dataclass(frozen=True)
-class Row:
-    """The figures of a class, or of all."""
+def rows(matches: Matches, thresholds: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Counts and METRICS of all classes together, then of each, at its confidence threshold and IoU 0.5.
 
-    name: str
-    images: int
-    """Images with such an object."""
-    objects: int
-    right: int
-    wrong: int
-    figures: Mapping[str, float]
-    """By METRICS; NaN where there is none."""
-
-
-def rows(matches: Matches, thresholds: NDArray[np.float64]) -> list[Row]:
-    """The figures of all classes together, then of each, at its confidence threshold and IoU 0.5.
-
-    Together: precision, recall and F1 of all detections and objects; the mean of the average precisions of
-    the classes that have objects.
+    `images` are those with such an object; NaN where there is no figure. Together: precision, recall and F1
+    of all detections and objects; the mean of the average precisions of the classes that have objects.
     """
     counts = counts_at(matches, thresholds)
     is_present = matches.objects > 0
     images = [is_present.any(axis=0).sum(), *is_present.sum(axis=1)]
     figures = by_metric(counts, matches.ap50[None], matches.ap50_95[None])
     return [
-        Row(
-            name,
-            int(images[place]),
-            int(counts.objects[0, place]),
-            int(counts.right[0, place]),
-            int(counts.wrong[0, place]),
-            {metric: float(values[0, place]) for metric, values in figures.items()},
-        )
+        {
+            "name": name,
+            "images": int(images[place]),
+            "objects": int(counts.objects[0, place]),
+            "right": int(counts.right[0, place]),
+            "wrong": int(counts.wrong[0, place]),
+            "missed": int(counts.objects[0, place] - counts.right[0, place]),
+            **{metric: float(values[0, place]) for metric, values in figures.items()},
+        }
         for place, name in enumerate(("all", *matches.class_names))
     ]
 
@@ -239,7 +227,7 @@ def differences(
         {
             name: interval(
                 (one[name][:, number], other[name][:, number]),
-                (row.figures[name], row_of_other.figures[name]),
+                (row[name], row_of_other[name]),
                 weights.shape[1],
             )
             for name in METRICS
@@ -252,16 +240,14 @@ def interval(
     samples: tuple[NDArray[np.float64], NDArray[np.float64]],
     figures: tuple[float, float],
     image_count: int,
-    *,
-    margin: float = 0.0,
 ) -> Interval:
-    """Interval of the difference from resamples (r,) of both models, and whether it exceeds `margin`."""
+    """Interval of the difference from resamples (r,) of both models."""
     differences = samples[1] - samples[0]
     known = differences[np.isfinite(differences)]
     if not len(known) or not np.isfinite(figures).all():
         return Interval(*figures, float("nan"), float("nan"), None)
     low, high = np.quantile(known, ((1 - SHARE) / 2, (1 + SHARE) / 2)).tolist()
-    verdict = "better" if low > margin else "worse" if high < -margin else "no difference shown"
+    verdict = "better" if low > 0 else "worse" if high < 0 else "no difference shown"
     return Interval(*figures, low, high, verdict if image_count >= MIN_IMAGES else "too few images")
 
 

@@ -36,8 +36,6 @@ Kind = Literal[
     "broken labels",
     "unusable images",
     "failed images",
-    "missing images",
-    "images without labels",
     "unusable entries",
 ]
 
@@ -82,8 +80,8 @@ class Problems:
         self.progress = progress
         self._tell = tell
 
-    def add(self, kind: Kind, where: object, reason: object, *, count: int = 1) -> None:
-        self.counts[kind] += count
+    def add(self, kind: Kind, where: object, reason: object) -> None:
+        self.counts[kind] += 1
         if len(self.first) < MAX_LISTED:
             text = f"{kind}: {in_one_line(str(where), _MAX_SHOWN)}: {in_one_line(str(reason), _MAX_SHOWN)}"
             self.first.append(text)

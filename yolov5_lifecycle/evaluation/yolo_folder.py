@@ -12,9 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
-
-import yaml
 
 from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_BOXES_PER_IMAGE,
@@ -37,8 +34,8 @@ from yolov5_lifecycle.evaluation.ground_truth import (
 )
 from yolov5_lifecycle.folder_listing import FolderTree, entries
 from yolov5_lifecycle.input_file import RegularFileError, read_text_file
-from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, class_names_of
-from yolov5_lifecycle.outside_yaml import PlainText, texts_of
+from yolov5_lifecycle.models.class_names import class_names_of
+from yolov5_lifecycle.outside_yaml import texts_of
 from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES, READABLE_SUFFIXES
 
 YAML_SUFFIXES = (".yaml", ".yml")
@@ -75,7 +72,7 @@ def read_description(path: Path) -> DataDescription:
         if not isinstance(content, dict):
             raise ValueError("expected names and values, such as `val: images` and `names: [cat, dog]`")
         splits = {name: _paths(content.get(name)) for name in SPLITS}
-        names = _class_names(content["names"]) if content.get("names") else None
+        names = class_names_of(content["names"], 0, MAX_CLASSES) if content.get("names") else None
         (folder, *_) = (*_paths(content.get("path")), "")
     except ValueError as error:
         raise DataError(f"{path}: {error}.") from None
@@ -88,26 +85,6 @@ def _paths(value: object) -> tuple[str, ...]:
     if any(isinstance(text, (list, dict)) for text in texts):
         raise ValueError("path, train, val and test must be paths or lists of paths")
     return tuple(text for text in texts if isinstance(text, str) and text not in _NO_PATH)
-
-
-def _class_names(names: object) -> tuple[str, ...]:
-    """Class names of a list, or of a mapping from the ids 0, 1, ..., as a checkpoint of them would have."""
-    if isinstance(names, dict):
-        names = {key: _loaded(name) for key, name in names.items()}
-    elif isinstance(names, list):
-        names = list(map(_loaded, names))
-    return class_names_of(names, 0, MAX_CLASSES)
-
-
-def _loaded(name: object) -> object:
-    """What YOLOv5 gets for a name: YAML 1.1 reads some that are not quoted as numbers and truth values."""
-    if not isinstance(name, PlainText) or len(name) > MAX_NAME_LENGTH:
-        return name
-    try:
-        value = yaml.safe_load(name)
-    except (yaml.YAMLError, ValueError):  # such as 0b_, a number without digits
-        return name
-    return value if isinstance(value, (bool, int, float, type(None))) else name
 
 
 def read_yolo_folder(
@@ -308,39 +285,26 @@ def label_text(path: Path) -> str | None:
         raise DataError(error.strerror if isinstance(error, OSError) else str(error)) from None
 
 
-class LabelledObject(NamedTuple):
-    """What a line of a label file says."""
-
-    class_id: int
-    values: tuple[float, ...]
-    """The fractions in the line."""
-    corners: tuple[float, ...]
-    """x1, y1, x2, y2 within the image."""
-
-
 def parsed_labels(text: str, class_count: int) -> Labels:
     """The labels in `text`, with class ids below `class_count`; equal boxes count once.
 
     Raises DataError, with the line, if one is broken: an image with unknown objects cannot be evaluated.
     """
-    boxes = dict.fromkeys((each.corners, each.class_id) for each in labelled_objects(text, class_count))
-    check_box_count(len(boxes))
-    return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
-
-
-def labelled_objects(text: str, class_count: int) -> Iterator[LabelledObject]:
-    """What the lines of `text` say, see `parsed_labels`."""
+    boxes: dict[tuple[tuple[float, ...], int], None] = {}
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if number > MAX_LINES:
             raise DataError(f"more than {MAX_LINES} lines")
         try:
             if fields := line.split():
-                yield _object(fields, class_count)
+                boxes[_object(fields, class_count)] = None
         except DataError as error:
             raise DataError(f"line {number}: {error}") from None
+    check_box_count(len(boxes))
+    return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
 
 
-def _object(fields: list[str], class_count: int) -> LabelledObject:
+def _object(fields: list[str], class_count: int) -> tuple[tuple[float, ...], int]:
+    """Corners x1, y1, x2, y2 within the image in fractions, and the class id."""
     if len(fields) != 5 and (len(fields) < _MIN_POLYGON_FIELDS or len(fields) % 2 == 0):
         raise DataError(
             "expected a class and 4 numbers (centre and size of a box) or at least 3 points of a polygon, "
@@ -363,4 +327,4 @@ def _object(fields: list[str], class_count: int) -> LabelledObject:
     x1, y1, x2, y2 = (min(max(corner, 0.0), 1.0) for corner in corners)
     if not (x1 < x2 and y1 < y2):
         raise DataError("the object has no area")
-    return LabelledObject(int(class_id), tuple(values), (x1, y1, x2, y2))
+    return (x1, y1, x2, y2), int(class_id)

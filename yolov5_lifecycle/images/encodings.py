@@ -133,13 +133,6 @@ ENCODINGS: Mapping[str, _Layout] = MappingProxyType(
 """Supported encodings of sensor_msgs/Image by name; docs/images.md has a table."""
 
 
-def layout_of(encoding: str) -> _Layout:
-    """Raises ImageError when the encoding is unsupported."""
-    if encoding not in ENCODINGS:
-        raise ImageError(f"Encoding {encoding[:40]!r} is not supported; supported: {', '.join(ENCODINGS)}.")
-    return ENCODINGS[encoding]
-
-
 def raw_image(image: Any) -> ColourImage:
     """Decode a sensor_msgs/Image, deserialised by any library; see `decode_raw`.
 
@@ -162,7 +155,9 @@ def decode_raw(
 
     Raises ImageError when the encoding is unsupported or the buffer is too small for the given layout.
     """
-    layout = layout_of(encoding)
+    if encoding not in ENCODINGS:
+        raise ImageError(f"Encoding {encoding[:40]!r} is not supported; supported: {', '.join(ENCODINGS)}.")
+    layout = ENCODINGS[encoding]
     check_size(height, width)
     block_height, block_width = layout.block_hw
     if height % block_height or width % block_width:

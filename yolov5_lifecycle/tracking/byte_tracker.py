@@ -36,7 +36,7 @@ MAX_TRACKS = 2 * MAX_DETECTIONS
 STEP_WITHOUT_TIME_S = 1 / 30
 """Assumed time between two images with equal stamps: some cameras set none."""
 MAX_LATE_S = 1.0
-"""An image that is older than the newest one by no more than this is late; by more, time has begun anew."""
+"""An image that is older than the newest one by no more than this is late; by more, time has begun again."""
 _LEADING = 100
 """Detections and tracks that say what all have in common; bounds the time that this takes."""
 _RECENT_S = 0.5
@@ -50,7 +50,7 @@ class StampCounts:
     late: int = 0
     """Images that were not tracked, because a newer one had been."""
     jumps: int = 0
-    """Jumps back in time, at each of which tracking began anew."""
+    """Jumps back in time, at each of which tracking began again."""
     last_jump_s: float = 0.0
     """How far the last one went back."""
 

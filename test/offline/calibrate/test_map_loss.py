@@ -15,13 +15,13 @@ from support.evaluated_offline import WEIGHTS, as_coco, evaluate, report_of, sha
 from yolov5_lifecycle import load_model
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 from yolov5_lifecycle.offline.calibrate.calibration_images import CalibrationData, read_calibration_data
 from yolov5_lifecycle.offline.calibrate.command import main
 from yolov5_lifecycle.offline.calibrate.measuring import map_loss
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
-from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, labelled_data
+from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.quantization.calibration_file import read_calibration
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 from yolov5_lifecycle.settings.settings import validated
@@ -80,8 +80,8 @@ def read(path: Path, count: int = IMAGES, options: DataOptions | None = None) ->
     )
 
 
-def names(data: LabelledData) -> list[str]:
-    return [Path(image.label).stem for image in data.images()]
+def names(data: LabelledFolder) -> list[str]:
+    return [image.path.stem for image in data.images]
 
 
 def test_images_whose_ranges_are_learned_are_not_evaluated(copy: Path) -> None:
@@ -90,7 +90,6 @@ def test_images_whose_ranges_are_learned_are_not_evaluated(copy: Path) -> None:
         assert len(found.images) == IMAGES
         assert found.labelled is not None
         assert names(found.labelled) == [f"{number:04}" for number in range(1, IMAGES, 2)]
-        assert found.labelled.expected == IMAGES // 2
 
 
 def test_the_labels_are_those_of_the_chosen_images(data: Path) -> None:
@@ -98,9 +97,9 @@ def test_the_labels_are_those_of_the_chosen_images(data: Path) -> None:
     assert read(data / "images" / "val", 2).labelled is None
     assert found.labelled is not None
     pixels = [image.pixels for image in found.images[1::2]]
-    for image in found.labelled.images():
-        assert any(np.array_equal(image.load().pixels, each) for each in pixels)
-        lines = (data / "labels" / "val" / f"{Path(image.label).stem}.txt").read_text().splitlines()
+    for image in found.labelled.images:
+        assert any(np.array_equal(ImageFile(image.path).load().pixels, each) for each in pixels)
+        lines = (data / "labels" / "val" / f"{image.path.stem}.txt").read_text().splitlines()
         assert len(image.labels.boxes) == len(lines)
 
 
@@ -124,10 +123,10 @@ def loss_on(path: Path, fp32: Detector, int8: Detector) -> float | str:
     problems = Problems(lambda _: None)
     detectors = {"fp32": fp32, "int8": int8}
     settings = validated({"image_size": 320})
-    with labelled_data(path, DataOptions(), problems) as found:
-        return map_loss(
-            found, load_weights(Path(WEIGHTS)), settings, detectors, observer=QUIET, problems=problems
-        )
+    found = labelled_data(path, DataOptions(), problems)
+    return map_loss(
+        found, load_weights(Path(WEIGHTS)), settings, detectors, observer=QUIET, problems=problems
+    )
 
 
 @pytest.mark.long

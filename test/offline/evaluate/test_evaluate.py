@@ -18,7 +18,6 @@ from support.evaluated_offline import (
     WEIGHTS,
     as_coco,
     evaluate,
-    labelled_drive,
     report_of,
     run,
     shapes,
@@ -134,17 +133,6 @@ def test_coco_and_yolo_give_the_same_figures(evaluated: Path, data: Path, tmp_pa
     assert of_coco["data"]["kind"] == "COCO"
     for row, other in zip(of_yolo["classes"], of_coco["classes"], strict=True):
         assert other == pytest.approx(row, abs=1e-4)
-
-
-def test_a_recording_is_evaluated_without_ros(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    drive = labelled_drive(tmp_path / "drive", labelled=(0, 2))
-    assert evaluate(drive) == 0
-    output, error = capsys.readouterr()
-    assert "images without labels: " in error
-    assert f"data    {drive}: 2 images, 12 objects\n" in output
-    assert "not evaluated: 1 images without labels\n" in output
-    (recall,) = (float(line.split()[4]) for line in output.splitlines() if line.startswith("all "))
-    assert recall > 0.8
 
 
 @pytest.mark.long

@@ -76,7 +76,7 @@ def crowds_only(folder: Path) -> Path:
     return source
 
 
-def without_detections(folder: Path) -> Path:
+def a_recording(folder: Path) -> Path:
     return record(folder / "drive", [raw(0)], storage=StoragePlugin.MCAP)
 
 
@@ -87,7 +87,9 @@ def without_detections(folder: Path) -> Path:
         pytest.param(no_data, [], "file or folder not found", id="missing"),
         pytest.param(a_text, [], "expected a folder with images/ and labels/", id="a text"),
         pytest.param(crowds_only, [], "images has an object of the classes", id="crowds only"),
-        pytest.param(without_detections, [], "there are no detections (", id="no detections"),
+        pytest.param(
+            a_recording, [], "found a recording: play it to a detector with `collect", id="recording"
+        ),
     ],
 )
 def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
@@ -144,16 +146,15 @@ def test_a_wrong_argument_ends_it_with_a_reason(
     ("words", "reason"),
     [
         pytest.param(["--thresholds", "best"], "expected f1, recall=0.9 or precision=0.95", id="goal"),
-        pytest.param(["--topic", "/x"], "--topic does not apply to ", id="topic"),
         pytest.param(["--split", "mine"], "invalid choice: 'mine'", id="split"),
         pytest.param(["--set", "weights=a.pt"], "weights has no effect: the model is WEIGHTS", id="weights"),
         pytest.param(
             ["--compare", "image_size=320,min_box_size=0.5"], "min_box_size has no effect", id="compared size"
         ),
         pytest.param(
-            ["--set", "weights=a.pt", "-p", "tracker:=bytetrack", "--topic", "/x"],
+            ["--set", "weights=a.pt", "-p", "tracker:=bytetrack"],
             "no effect: images are evaluated one by one; the setting weights has no effect: the model is "
-            "WEIGHTS; --topic does not apply to ",
+            "WEIGHTS",
             id="several",
         ),
     ],
@@ -166,6 +167,13 @@ def test_a_wrong_command_line_ends_it_with_2(
     assert end.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert reason in line
+
+
+def test_an_option_of_other_data_ends_it_with_2(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        evaluate(as_coco(data), "--split", "val")
+    assert end.value.code == 2
+    assert "--split does not apply to " in capsys.readouterr().err
 
 
 def test_inference_that_fails_again_and_again_ends_it(data: Path, capsys: pytest.CaptureFixture[str]) -> None:

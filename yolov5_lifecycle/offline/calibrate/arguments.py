@@ -48,6 +48,7 @@ def command_parser() -> argparse.ArgumentParser:
         help="file to write or replace (default: WEIGHTS with the ending .calibration.json)",
     )
     add_data_options(parser)
+    parser.add_argument("--topic", help="image topic of a recording (default: the only one)")
     parser.add_argument(
         "--images",
         type=count_up_to(2000, "images"),

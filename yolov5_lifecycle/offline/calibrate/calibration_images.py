@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import StoredImage
 from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
-from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData
 from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, kind_of, labelled_data
-from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
+from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile, has_still_images, image_files
 from yolov5_lifecycle.offline.recordings import is_recording
 
 _THUMBNAIL_WH = (16, 12)
@@ -49,7 +48,7 @@ class CalibrationData:
     """
 
     images: Sequence[ColourImage]
-    labelled: LabelledData | None
+    labelled: LabelledFolder | None
 
 
 def read_calibration_data(
@@ -79,8 +78,9 @@ def read_calibration_data(
 def _check_options(path: Path, options: DataOptions) -> None:
     """Raise DataError for an option that does not apply to `path`."""
     if has_labels(path) or is_recording(path):
-        found = f"a data set of the kind {kind_of(path)}"
-        useless = options.useless(kind_of(path))
+        kind = kind_of(path) if has_labels(path) else "recording"
+        found = f"a data set of the kind {kind}"
+        useless = options.useless(kind)
     else:
         found = "a folder without labels, an image or a video"
         useless = [name for name, value in vars(options).items() if value is not None]
@@ -91,7 +91,7 @@ def _check_options(path: Path, options: DataOptions) -> None:
 @contextmanager
 def _opened(
     path: Path, options: DataOptions, problems: Problems
-) -> Iterator[tuple[Source, LabelledData | None]]:
+) -> Iterator[tuple[Source, LabelledFolder | None]]:
     if is_recording(path):
         from yolov5_lifecycle.offline.recording import open_recording  # its package is optional
 
@@ -99,8 +99,8 @@ def _opened(
             topic = recording.image_topic(options.topic)
             yield Source(recording.messages(topic), topic.count), None
     elif has_labels(path):
-        with labelled_data(path, options, problems) as data:
-            yield Source(data.images(), data.expected), data
+        data = labelled_data(path, options, problems)
+        yield Source([ImageFile(each.path) for each in data.images], len(data.images)), data
     elif has_still_images(path):
         files = image_files(path)
         yield Source(files, len(files)), None
@@ -109,15 +109,14 @@ def _opened(
         yield Source(video.frames, video.claimed_frames), None
 
 
-def _compared(data: LabelledData, chosen: Sequence[tuple[int, ColourImage]]) -> LabelledData:
+def _compared(data: LabelledFolder, chosen: Sequence[tuple[int, ColourImage]]) -> LabelledFolder:
     """The labelled files of the images that are compared.
 
     They are sorted by size, as a network is compiled for each and only a few are kept.
     """
-    files = list(data.images())
     _, compared = halves(chosen)
-    ordered = [files[number] for number, _ in sorted(compared, key=lambda each: each[1].size_hw)]
-    return LabelledData(data.kind, data.class_names, len(ordered), lambda: ordered)
+    ordered = sorted(compared, key=lambda each: each[1].size_hw)
+    return LabelledFolder(data.class_names, tuple(data.images[number] for number, _ in ordered))
 
 
 def halves(items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item]]:

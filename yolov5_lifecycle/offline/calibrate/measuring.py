@@ -15,7 +15,7 @@ from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.evaluation.figures import mean_of_classes
-from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.cost import size_multiple
@@ -23,7 +23,7 @@ from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.calibrate.calibration_images import halves
 from yolov5_lifecycle.offline.detecting import DetectingError, RunObserver
-from yolov5_lifecycle.offline.evaluate.evaluating import LabelledData, evaluate_models
+from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive, network_pixels
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
@@ -153,7 +153,7 @@ def agreement(truth: Sequence[Detections], found: Sequence[Detections]) -> tuple
 
 
 def map_loss(
-    data: LabelledData | None,
+    data: LabelledFolder | None,
     weights: WeightsFile,
     settings: Settings,
     detectors: Mapping[str, Detector],

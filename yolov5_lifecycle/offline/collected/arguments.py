@@ -5,36 +5,22 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
-
-MAX_SHOWN = 10_000
-"""Images on one contact sheet; each takes about 15 kB."""
+from yolov5_lifecycle.commands.command_line import CommandParser
 
 
 def command_parser() -> argparse.ArgumentParser:
-    """The argument parser of the command; every action has `folders`."""
+    """The argument parser of the command; every action has a `folder`."""
     parser = CommandParser(
-        "collected", description="Show, merge, split and clear out what a detector has collected."
+        "collected", description="Show, split and clear out what a detector has collected."
     )
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
-    def action(name: str, told: str, *, folders: int | str = 1) -> argparse.ArgumentParser:
+    def action(name: str, told: str) -> argparse.ArgumentParser:
         of_action = actions.add_parser(name, help=told)
-        of_action.add_argument(
-            "folders", type=Path, nargs=folders, metavar="FOLDER", help="the collect_dir of a detector"
-        )
+        of_action.add_argument("folder", type=Path, metavar="FOLDER", help="the collect_dir of a detector")
         return of_action
 
     action("show", "how many images there are, and why they were kept")
-    sheet = action("sheet", "write one HTML file with all images, sorted by reason")
-    sheet.add_argument("--output", type=Path, required=True, metavar="SHEET.html", help="a new file")
-    sheet.add_argument(
-        "--most",
-        type=count_up_to(MAX_SHOWN, "images"),
-        default=500,
-        metavar="N",
-        help="show the N most valuable images; default: %(default)s",
-    )
     split = action("split", "write split.yaml: whole sessions for training or validation")
     split.add_argument(
         "--share",
@@ -43,8 +29,6 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="SHARE",
         help="about this share of the images is for validation; default: %(default)s",
     )
-    merge = action("merge", "copy the images of several robots into a new folder", folders="+")
-    merge.add_argument("--output", type=Path, required=True, metavar="NEW", help="a new folder")
     remove = action("remove", "remove images, while no detector collects into the folder")
     remove.add_argument("--session", action="append", default=[], help="those of this session")
     remove.add_argument(

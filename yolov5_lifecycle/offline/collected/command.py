@@ -3,38 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.collecting.collected_files import (
-    DATA,
     FRAMES,
     IMAGES,
-    LABELS,
-    SUFFIXES,
     CollectingError,
-    KeptImage,
-    file_of,
     kept_images,
     read_class_names,
-    with_names,
     write_description,
 )
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
-from yolov5_lifecycle.evaluation.ground_truth import (
-    MAX_CLASSES,
-    MAX_IMAGES,
-    DataError,
-    check_box_count,
-    check_count,
-)
-from yolov5_lifecycle.evaluation.yolo_folder import label_text, labelled_objects
+from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.offline.collected.arguments import command_parser
-from yolov5_lifecycle.offline.collected.contact_sheet import contact_sheet, first_reason
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 
@@ -51,19 +34,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.action == "remove" and not (arguments.session or arguments.reason):
         parser.error("remove needs --session or --reason")
     try:
-        for folder in arguments.folders:
-            if not (folder / FRAMES).is_dir():
-                raise CollectingError(
-                    f"{folder}: expected the collect_dir of a detector, found no {FRAMES} in it"
-                )
+        folder = arguments.folder
+        if not (folder / FRAMES).is_dir():
+            raise CollectingError(
+                f"{folder}: expected the collect_dir of a detector, found no {FRAMES} in it"
+            )
         return write_output(_COMMAND, _ACTIONS[arguments.action](arguments))
-    except (CollectingError, DataError, OutputError, OSError) as error:
+    except (CollectingError, OSError) as error:
         complain(_COMMAND, in_one_line(str(error)))
         return 1
-
-
-def _images(folder: Path) -> list[KeptImage]:
-    return [kept for kept, _ in kept_images(folder)]
 
 
 def _show(arguments: argparse.Namespace) -> str:
@@ -72,7 +51,7 @@ def _show(arguments: argparse.Namespace) -> str:
     An image with several reasons counts for each of them.
     """
     counts = {kind: Counter[str]() for kind in ("session", "camera", "model", "reason", "class")}
-    for kept, frame in kept_images(*arguments.folders):
+    for kept, frame in kept_images(arguments.folder):
         counts["session"][kept.session] += 1
         counts["camera"][frame.camera or "(without a name)"] += 1
         counts["model"][frame.weights_sha256[:12]] += 1
@@ -85,21 +64,10 @@ def _show(arguments: argparse.Namespace) -> str:
     return "\n".join(shown) + "\n"
 
 
-def _sheet(arguments: argparse.Namespace) -> str:
-    (folder,) = arguments.folders
-    found = [(kept, first_reason(frame)) for kept, frame in kept_images(folder)]
-    images = sorted(found, key=lambda each: -each[0].value)[: arguments.most]
-    class_names = read_class_names(folder, is_used=False)
-    with whole_output(arguments.output) as unfinished, unfinished.open("w", encoding="utf-8") as file:
-        title = f"{len(images)} collected images: {folder.resolve().name}"
-        file.writelines(contact_sheet(folder, images, class_names, title=title))
-    return f"{arguments.output}: {len(images)} images\n"
-
-
 def _split(arguments: argparse.Namespace) -> str:
     """Whole sessions for training or validation: neighbouring images show the same scene."""
-    (folder,) = arguments.folders
-    counts = Counter(kept.session for kept in _images(folder))
+    folder = arguments.folder
+    counts = Counter(kept.session for kept, _ in kept_images(folder))
     validation = validation_sessions(counts, arguments.share)
     paths = {session: f"{IMAGES}/{session}" for session in sorted(counts)}
     train = [path for session, path in paths.items() if session not in validation]
@@ -128,64 +96,8 @@ def validation_sessions(counts: Counter[str], share: float) -> list[str]:
     return sorted(chosen or by_size[-1:])
 
 
-def _merge(arguments: argparse.Namespace) -> str:
-    with whole_output(arguments.output) as unfinished:
-        count, repeated = merge(arguments.folders, unfinished)
-    first = f"; {repeated} that a folder before had, too, are as in that one" if repeated else ""
-    return f"{arguments.output}: {count} images{first}\n"
-
-
-def merge(folders: Sequence[Path], output: Path) -> tuple[int, int]:
-    """Copy the images of `folders` and their labels, as they are now, to the new folder `output`.
-
-    Of an image that several folders have, the first folder's counts. Returns the number of images, and how
-    many were left out for that. Classes are matched by name. Raises CollectingError if labels cannot be
-    read, DataError beyond the limits of a data set or of the disk, and OSError.
-    """
-    sources: dict[str, tuple[Path, KeptImage, Sequence[int]]] = {}
-    names: tuple[str, ...] = ()
-    found = 0
-    for folder in folders:
-        images = _images(folder)
-        own_names = read_class_names(folder, is_used=bool(images))
-        names = with_names(names, own_names)
-        ids = {name: index for index, name in enumerate(names)}
-        ids_in_output = [ids[name] for name in own_names]
-        found += len(images)
-        for kept in images:
-            sources.setdefault(kept.path, (folder, kept, ids_in_output))
-    size = sum(kept.size for _, kept, _ in sources.values())
-    limits = {
-        "images": (len(sources), MAX_IMAGES),
-        "classes": (len(names), MAX_CLASSES),
-        "bytes, which are free on the disk": (size, shutil.disk_usage(output.parent).free),
-    }
-    for what, (count, limit) in limits.items():
-        check_count("all folders", what, count, limit, remedy="merge fewer")
-    output.mkdir()
-    for image, (folder, _, class_ids) in sources.items():
-        _copy(folder, output, image, class_ids)
-    write_description(output / DATA, names)
-    return len(sources), found - len(sources)
-
-
-def _copy(folder: Path, output: Path, image: str, class_ids: Sequence[int]) -> None:
-    for kind in SUFFIXES:
-        (output / file_of(image, kind)).parent.mkdir(parents=True, exist_ok=True)
-    labels = file_of(image, LABELS)
-    try:
-        objects = list(labelled_objects(label_text(folder / labels) or "", len(class_ids)))
-        check_box_count(len(objects))
-    except DataError as error:
-        raise CollectingError(f"{folder / labels}: {error}; correct it") from None
-    rows = ((class_ids[each.class_id], *each.values) for each in objects)
-    (output / labels).write_text("".join(f"{' '.join(map(str, row))}\n" for row in rows))
-    for path in (file_of(image, FRAMES), image):
-        shutil.copyfile(folder / path, output / path, follow_symlinks=False)
-
-
 def _remove(arguments: argparse.Namespace) -> str:
-    (path,) = arguments.folders
+    path = arguments.folder
     reasons, sessions = {*arguments.reason}, {*arguments.session}
     with closing(CollectedFolder(path, _NO_LIMIT)) as folder:
         count = len(folder)
@@ -202,8 +114,6 @@ def _remove(arguments: argparse.Namespace) -> str:
 
 _ACTIONS: Mapping[str, Callable[[argparse.Namespace], str]] = {
     "show": _show,
-    "sheet": _sheet,
     "split": _split,
-    "merge": _merge,
     "remove": _remove,
 }

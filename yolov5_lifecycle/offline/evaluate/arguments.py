@@ -15,13 +15,11 @@ _EPILOG = """\
 DATA is one of
   a folder with images/ and labels/ in YOLO format, or its data.yaml
   a COCO file (.json) next to its images
-  a ros2 bag recording with images and corrected detections (Detection2DArray) of the same stamps
 
 examples:
   evaluate best.pt shots
   evaluate best.pt shots/data.yaml --split test --output report
   evaluate best.pt instances_val.json --root images --thresholds f1
-  evaluate best.pt drive --topic /front/image_raw --truth-topic /yolov5/front/detections
   evaluate best.pt shots --compare older.pt
   evaluate best.pt shots --compare runtime=openvino,image_size=320
 """
@@ -29,16 +27,15 @@ examples:
 
 @dataclass(frozen=True, kw_only=True)
 class DataOptions:
-    """How to read a data set: see `add_data_options`; `truth_topic` is the topic of corrected detections."""
+    """How to read images: see `add_data_options`; `topic` is the image topic of a recording."""
 
     split: str | None = None
     root: Path | None = None
     topic: str | None = None
-    truth_topic: str | None = None
 
     def useless(self, kind: str) -> list[str]:
         """The given options that do not apply to data sets of this `kind`."""
-        of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic", "truth_topic")}[kind]
+        of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic",)}[kind]
         return [name for name, value in vars(self).items() if value is not None and name not in of_kind]
 
 
@@ -72,17 +69,12 @@ def command_parser() -> argparse.ArgumentParser:
         help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
     )
     add_data_options(parser)
-    parser.add_argument(
-        "--truth-topic",
-        metavar="TOPIC",
-        help="topic of the corrected detections in a recording (default: the only one)",
-    )
     add_detector_options(parser)
     return parser
 
 
 def add_data_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options split, root and topic."""
+    """Add the options split and root."""
     parser.add_argument(
         "--split",
         choices=SPLITS,
@@ -94,4 +86,3 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
     )
-    parser.add_argument("--topic", help="image topic of a recording (default: the only one)")

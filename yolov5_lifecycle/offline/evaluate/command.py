@@ -6,7 +6,6 @@ import argparse
 import re
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
-from dataclasses import fields
 
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
@@ -43,7 +42,7 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     def run() -> int:
         if not arguments.data.exists():
             raise FileNotFoundError(f"{arguments.data}: file or folder not found")
-        options = DataOptions(**{each.name: getattr(arguments, each.name) for each in fields(DataOptions)})
+        options = DataOptions(split=arguments.split, root=arguments.root)
         if problem := _usage_problem(arguments, options):
             parser.error(problem)
         with closing(_Reports()) as reports:
@@ -56,6 +55,7 @@ def _evaluated(
     arguments: argparse.Namespace, options: DataOptions, reports: _Reports, prepare: Prepare
 ) -> str:
     """What is printed; the files are written."""
+    kind = kind_of(arguments.data)
     wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
         wanted.append(_settings(arguments, _compared(arguments.compare)))
@@ -64,13 +64,13 @@ def _evaluated(
             raise DetectingError(problem)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
-        data = stack.enter_context(labelled_data(arguments.data, options, reports.problems))
+        data = labelled_data(arguments.data, options, reports.problems)
         classes, evaluations = evaluate_models(
             data, wanted, observer=reports, problems=reports.problems, prepare=prepare
         )
         reports.begin("computing the figures")
         result = EvaluationResult(
-            arguments.data, data.kind, classes, evaluations, reports.problems, arguments.thresholds
+            arguments.data, kind, classes, evaluations, reports.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
         if folder is not None:

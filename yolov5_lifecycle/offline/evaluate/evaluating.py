@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
 from yolov5_lifecycle.detection.selection import class_ids, selection
-from yolov5_lifecycle.evaluation.ground_truth import DataError, Labels, Problems, check_count
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems, check_count
 from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.detecting import OfflineDetector, RunObserver, StoredImage, prepared_for
+from yolov5_lifecycle.offline.detecting import OfflineDetector, RunObserver, prepared_for
+from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, Settings
 
@@ -35,37 +36,6 @@ _WHILE_EVALUATING = {
     **{name: SETTINGS_BY_NAME[name].default for name in ("class_thresholds", *NOT_APPLIED)},
 }
 """Average precision needs detections below the thresholds; those above are the same with and without them."""
-
-
-@dataclass(frozen=True)
-class LabelledImage:
-    """A stored image with its ground truth and its number in the data set, from 0."""
-
-    number: int
-    stored: StoredImage
-    labels: Labels
-    stamp_s = None
-
-    @property
-    def label(self) -> str:
-        return self.stored.label
-
-    def load(self) -> ColourImage:
-        """Load the pixels; raises ImageError."""
-        return self.stored.load()
-
-
-@dataclass(frozen=True)
-class LabelledData:
-    """An open data set.
-
-    Each call of `images` starts over. `class_names` None: class ids are those of the model.
-    """
-
-    kind: str
-    class_names: tuple[str, ...] | None
-    expected: int
-    images: Callable[[], Iterable[LabelledImage]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +83,7 @@ class _Model:
 
 
 def evaluate_models(
-    data: LabelledData,
+    data: LabelledFolder,
     wanted: Sequence[Settings],
     *,
     observer: RunObserver,
@@ -129,9 +99,9 @@ def evaluate_models(
     classes = EvaluatedClasses.shared(
         data.class_names, [(model.offline.class_names, model.wanted) for model in models]
     )
-    pairs = len(classes.names) * data.expected
+    pairs = len(classes.names) * len(data.images)
     check_count("the data set", "classes x images", pairs, MAX_CLASSES_IN_IMAGES)
-    timed: dict[int, LabelledImage] = {}
+    timed: dict[int, ImageFile] = {}
     found = [_found(data, model, classes, problems, timed) for model in models]
     common = sorted(set(found[0]).intersection(*found[1:]))
     if all(found[0][number].truth.is_crowd.all() for number in common):
@@ -153,20 +123,20 @@ def evaluate_models(
 
 
 def _found(
-    data: LabelledData,
+    data: LabelledFolder,
     model: _Model,
     classes: EvaluatedClasses,
     problems: Problems,
-    timed: dict[int, LabelledImage],
+    timed: dict[int, ImageFile],
 ) -> dict[int, EvaluatedImage]:
     """The evaluated images by number; a sample of them is kept in `timed`."""
     images: dict[int, EvaluatedImage] = {}
     counts: Counter[str] = Counter()
-    sample = set(np.linspace(0, max(data.expected - 1, 0), TIMED_IMAGES).round().astype(int).tolist())
+    sample = set(np.linspace(0, len(data.images) - 1, TIMED_IMAGES).round().astype(int).tolist())
 
-    def keep(stored: LabelledImage, image: ColourImage, detections: Detections) -> None:
+    def keep(stored: ImageFile, image: ColourImage, detections: Detections) -> None:
         try:
-            truth = classes.truth(stored.labels.in_pixels(image.size_hw))
+            truth = classes.truth(data.images[stored.number].labels.in_pixels(image.size_hw))
         except DataError as error:
             if model.number == 0:
                 problems.add("broken labels", stored.label, error)
@@ -178,11 +148,12 @@ def _found(
         if stored.number in sample:
             timed[stored.number] = stored
 
-    model.offline.run(data.images(), expected=data.expected, write=keep)
+    files = [ImageFile(path, number) for number, (path, _) in enumerate(data.images)]
+    model.offline.run(files, expected=len(files), write=keep)
     return images
 
 
-def _times_ms(models: Sequence[_Model], images: Iterable[LabelledImage]) -> list[NDArray[np.float64]]:
+def _times_ms(models: Sequence[_Model], images: Iterable[ImageFile]) -> list[NDArray[np.float64]]:
     """The times of each model in the same images; images that cannot be read again have none.
 
     Of each image the shorter of two times, run in the order ABBA, so that no model gains from its place.

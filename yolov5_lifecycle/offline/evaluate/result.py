@@ -10,16 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from yolov5_lifecycle.evaluation.curves import draw_confusion_matrix, draw_f1_curve, draw_pr_curve
 from yolov5_lifecycle.evaluation.figures import (
     MIN_IOU,
     RESAMPLES,
-    SEED,
     confusion_matrix,
     differences,
-    interval,
     occurring,
     rows,
 )
@@ -28,7 +25,6 @@ from yolov5_lifecycle.evaluation.matching import (
     MAX_DETECTIONS,
     MIN_CONFIDENCE,
     EvaluatedClasses,
-    Matches,
     found_annotations,
     match,
     truth_dataset,
@@ -42,8 +38,6 @@ FORMAT = 1
 """Version of report.json; a change that breaks its readers raises it."""
 _MAX_CONFUSED = 10
 """With more classes the confusion matrix is not printed."""
-_SPEED_MARGIN = 0.03
-"""Share of the time per image; smaller differences are not reported as differences."""
 _COMPARED = ("f1", "ap50", "ap50_95")
 """The metrics of a comparison that are printed; the report has all."""
 _HEADS = {"precision": "precision", "recall": "recall", "f1": "F1", "ap50": "mAP@50", "ap50_95": "mAP@50:95"}
@@ -72,7 +66,7 @@ class EvaluationResult:
         self._matches = [match(evaluation.images, self._names) for evaluation in evaluations]
         self._chosen = [] if goal is None else chosen_thresholds(self._matches[0], goal)
         first = evaluations[0]
-        all_classes, *of_class = _rows_as_json(self._matches[0], first)
+        all_classes, *of_class = rows(self._matches[0], first.thresholds)
         self.report: dict[str, Any] = {
             "format": FORMAT,
             "data": {
@@ -118,9 +112,8 @@ class EvaluationResult:
             "changed": {name: value for name, value in other.items() if value != one[name]},
             "rows": [
                 {**row, "intervals": {metric: asdict(found) for metric, found in of_class.items()}}
-                for row, of_class in zip(_rows_as_json(self._matches[1], second), intervals, strict=True)
+                for row, of_class in zip(rows(self._matches[1], second.thresholds), intervals, strict=True)
             ],
-            "speed_verdict": _speed_verdict(first.times_ms, second.times_ms),
         }
 
     def text(self, node: str) -> str:
@@ -170,34 +163,16 @@ class EvaluationResult:
         return "".join(f"{line}\n" for line in lines)
 
     def _differences(self) -> str:
-        """The settings in which the second model differs, and which one is faster."""
+        """The settings in which the second model differs, and its speed."""
         comparison = self.report["comparison"]
         # As they are written after `--compare NAME=`.
         changed = {
             name: value if isinstance(value, str) else value_text(value)
             for name, value in comparison["changed"].items()
         }
-        lines = [f"OTHER has {name}={in_one_line(value)}" for name, value in changed.items()]
-        if verdict := comparison["speed_verdict"]:
-            verdict = {"better": "faster", "worse": "slower"}.get(verdict, verdict)
-            times = f"{_median_ms(self.report['model'])}, OTHER {_median_ms(comparison['model'])}"
-            lines.append(f"speed  {times}: {verdict}")
-        return "".join(f"{line}\n" for line in lines)
-
-
-def _speed_verdict(first_ms: NDArray[np.float64], second_ms: NDArray[np.float64]) -> str | None:
-    """Whether the second model is `better` or `worse`; None without times."""
-    if not len(first_ms):
-        return None
-    # Shorter is better; a small difference is due to the moment rather than to the models.
-    drawn = np.random.default_rng(SEED).integers(0, len(first_ms), (RESAMPLES, len(first_ms)))
-    samples = (_log_speed(first_ms[drawn]), _log_speed(second_ms[drawn]))
-    figures = (float(_log_speed(first_ms)), float(_log_speed(second_ms)))
-    return interval(samples, figures, len(first_ms), margin=_SPEED_MARGIN).verdict
-
-
-def _log_speed(times_ms: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(-np.log(np.median(times_ms, axis=-1)))
+        lines = [f"OTHER has {name}={in_one_line(value)}\n" for name, value in changed.items()]
+        speeds = f"{_median_ms(self.report['model'])} per image, OTHER {_median_ms(comparison['model'])}"
+        return "".join((*lines, f"speed   {speeds}\n"))
 
 
 def _write_json(path: Path, content: object, *, indent: int | None = None) -> None:
@@ -212,16 +187,6 @@ def _without_nan(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_without_nan(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _rows_as_json(matches: Matches, evaluation: Evaluation) -> list[dict[str, Any]]:
-    """Figures and counts of all classes, then of each."""
-    found = []
-    for row in rows(matches, evaluation.thresholds):
-        counts = asdict(row)
-        figures = counts.pop("figures")
-        found.append({**counts, "missed": row.objects - row.right, **figures})
-    return found
 
 
 def _model(evaluation: Evaluation) -> dict[str, Any]:
