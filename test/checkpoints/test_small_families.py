@@ -13,7 +13,6 @@ import torch
 from support.checkpoint_builder import (
     SMALL,
     foreign,
-    head,
     layers_of,
     official_model,
     pickled_method,
@@ -101,12 +100,6 @@ def test_a_fused_model_is_read_and_converted(architecture: Architecture, tmp_pat
     )
 
 
-def with_nms(model: Any) -> Any:
-    """As v3.1 to v5.0 do it for an export."""
-    layers_of(model)[str(len(layers_of(model)))] = foreign("models.common.NMS", _modules={}, f=-1)
-    return model
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     "checkpoint",
@@ -124,7 +117,6 @@ def with_nms(model: Any) -> Any:
             ),
             id="as torch.hub loads it",
         ),
-        pytest.param(lambda model: stripped(with_nms(model)), id="NMS added for an export"),
     ],
 )
 def test_what_is_around_a_model_is_left_out(checkpoint: Callable[[Any], Any]) -> None:
@@ -142,26 +134,6 @@ def test_a_model_of_a_training_on_several_machines_is_read(tmp_path: Path) -> No
     finally:
         distributed.destroy_process_group()
     assert_same_model(read_checkpoint(data), SMALL, random_network(0, SMALL))
-
-
-def test_boxes_are_computed_with_the_anchors_in_pixels_that_older_models_hold() -> None:
-    """In half precision both buffers are rounded, each on its own."""
-    architecture = EVERY_SMALL["cross-stage"]
-    anchors_px = (((10.123, 13.3), (16.7, 30.9)), ((30.3, 61.7), (62.2, 45.1)))
-    model = official_model(dataclasses.replace(architecture, anchors_px=anchors_px), before_v6=True)
-    buffers = vars(head(model))["_buffers"]
-    buffers["anchor_grid"] = torch.tensor(anchors_px).half().view(2, 1, 2, 1, 1, 2)
-    read = read_checkpoint(saved(stripped(model)))
-    rounded = torch.tensor(anchors_px).half().float()
-    assert torch.equal(torch.tensor(read.architecture.anchors_px), rounded)
-    assert torch.equal(read.state_dict["model.8.anchors"], rounded / torch.tensor([4, 8]).view(2, 1, 1))
-
-
-def test_images_of_a_model_without_that_entry_in_its_yaml_may_be_grey() -> None:
-    architecture = EVERY_SMALL["resized"]
-    model = official_model(architecture, before_v6=True)
-    assert "ch" not in model.yaml
-    assert read_checkpoint(saved(stripped(model))).architecture.image_channels == 1
 
 
 def test_a_number_of_channels_that_is_that_of_the_head_is_not_scaled() -> None:

@@ -33,16 +33,15 @@ _MAX_WINDOWS = 8
 
 
 def architecture_of(
-    yaml: object, *, classes: int, anchors_px: AnchorsPx, strides: tuple[int, ...], image_channels: int = 3
+    yaml: object, *, classes: int, anchors_px: AnchorsPx, strides: tuple[int, ...]
 ) -> Architecture:
     """The architecture from the `backbone` and `head` rows and multiples, validated; raises WeightsError.
 
-    `image_channels` counts where the yaml has no entry `ch`, as before v6.0. The activations are those of
-    `Architecture` by default.
+    The activations are those of `Architecture` by default.
     """
     if not isinstance(yaml, dict):
         raise WeightsError(f"expected a dict as the model's yaml, found {shown(yaml)}")
-    channels = yaml.get("ch", image_channels)
+    channels = yaml.get("ch", Architecture.image_channels)
     if isinstance(channels, bool) or not isinstance(channels, int) or channels not in (1, 3):
         raise WeightsError(
             f"the model reads images of {shown(channels)} channels; only models for colour images, of 3, and "
@@ -294,7 +293,6 @@ ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
         "C3Ghost": _PARTIAL,
         "C3SPP": (CHANNELS, replace(WINDOWS, default=(5, 9, 13))),
         "BottleneckCSP": _PARTIAL,
-        "CrossCSP": _PARTIAL,
         "SPP": (CHANNELS, replace(WINDOWS, default=(5, 9, 13))),
         "SPPF": (CHANNELS, replace(ODD_KERNEL, default=5, is_kept=True)),
         "ConvTranspose2d": (CHANNELS, replace(KERNEL, is_required=True), STRIDE, NO_PADDING, NO_PADDING),

@@ -24,7 +24,7 @@ from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
+from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, closed
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
 from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
@@ -173,7 +173,7 @@ class Compiler:
             quantization.check(convolutions(self._network))
         self.channels = model.architecture.image_channels
         self.engine, self.precision = engine, engine.precision
-        self._store = CompiledStore(cache_folder("compiled"))
+        self._store = DiskCache(cache_folder("compiled"))
         self._identity = _identity(model, engine, quantization)
         detect = self._network.head
         self.head = DetectionHead(detect)

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, installed_build, processor, write_cache
+from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.registry import (
     COARSE,
     COARSE_RUNTIME,
@@ -65,7 +65,8 @@ def choose_runtime(
     """The runtime for `auto`: torch on a GPU; on a CPU the fastest at input size `frame_hw` in fp32.
 
     Results are cached in `folder` (default: the user's cache), so each combination of architecture, input
-    size, installed packages and CPU is measured once. Raises DeviceError.
+    size, installed packages and CPU is measured once; a record that is missing or damaged is replaced. Raises
+    DeviceError.
     """
     if precision in COARSE:
         return Choice(COARSE_RUNTIME, f"the only one for {precision}")
@@ -76,11 +77,12 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
-    if (figures_ms := _read_figures(record, installed)) is not None:
-        return _fastest(figures_ms, f"cached in {record}")
+    cache, key = DiskCache(folder or cache_folder("choices")), _key(model, installed, frame_hw)
+    if (record := cache.read(key)) is not None:
+        return _fastest(json.loads(record), f"cached in {cache.folder / key}")
     figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
-    return _fastest(figures_ms, _write_figures(record, figures_ms))
+    cache.keep(key, json.dumps(figures_ms).encode())
+    return _fastest(figures_ms, "measured now")
 
 
 def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
@@ -96,29 +98,7 @@ def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
     packages = sorted({"numpy", *(package for runtime in installed for package in REQUIREMENTS[runtime])})
     builds = [installed_build(package) for package in packages]
     circumstances = [repr(model.architecture), frame_hw, builds, processor(), torch.get_num_threads()]
-    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
-
-
-def _read_figures(path: Path, installed: list[str]) -> dict[str, float] | None:
-    """Milliseconds by runtime; None for a missing or damaged file, which the next measurement replaces."""
-    try:
-        figures_ms = json.loads(path.expanduser().read_bytes())
-    except (*NO_PLACE, ValueError):
-        return None
-    if not isinstance(figures_ms, dict) or not figures_ms.keys() <= set(installed):
-        return None
-    if "torch" not in figures_ms or not all(isinstance(ms, float) and ms > 0 for ms in figures_ms.values()):
-        return None
-    return figures_ms
-
-
-def _write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
-    """Where the figures are from: measured, with the reason if they cannot be cached."""
-    try:
-        write_cache(path, json.dumps(figures_ms).encode() + b"\n")
-    except NO_PLACE as error:
-        return f"measured now, not cached: {error}"
-    return "measured now"
+    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
