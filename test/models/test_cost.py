@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -17,14 +16,13 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.cost import (
-    Cells,
-    cells_of_levels,
     check_architecture,
     check_memory,
     check_proportions,
     checked_cost,
     cost_of,
     size_multiple,
+    strides_of,
     usual_cost,
 )
 from yolov5_lifecycle.models.head import Segment
@@ -114,7 +112,7 @@ def test_sides_of_images_are_multiples_of_what_every_layer_takes(
         strides=(multiple,),
         anchors_px=SIZES["n"].anchors_px[:1],
     )
-    assert cells_of_levels(architecture) == ((Cells(Fraction(multiple)),), multiple)
+    assert strides_of(architecture) == ((multiple,), multiple)
 
 
 def test_a_stride_that_no_image_fits_is_told_as_too_large() -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
 
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Argument, Layer
 from yolov5_lifecycle.models.convolutions import LAYER_KINDS
-from yolov5_lifecycle.models.cost import Cells, cells_of_levels, check_architecture
+from yolov5_lifecycle.models.cost import MAX_STRIDE, check_architecture, strides_of
 from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
@@ -20,7 +19,6 @@ MAX_REPEATS = 100
 MAX_BLOCKS = 400
 """Sum of the repeats of all layers with weights; the largest official network, x6, has 80."""
 MAX_LEVELS = 8
-MAX_STRIDE = 1024
 MAX_ANCHORS = 32
 _MAX_CHANNEL_MULTIPLE = 256
 MAX_CHANNELS = 8192
@@ -127,11 +125,15 @@ def _check_strides(architecture: Architecture) -> None:
     if heads != [len(architecture.layers) - 1]:
         raise WeightsError(f"expected one {' or '.join(HEADS)} layer, the last, found {len(heads)}")
     try:
-        found, multiple = cells_of_levels(architecture)
+        found, multiple = strides_of(architecture)
     except ValueError as error:
         raise WeightsError(str(error)) from None
-    if found != tuple(Cells(Fraction(stride)) for stride in architecture.strides):
-        made = [str(level.pixels) if level.surplus == 0 else f"{level.pixels}, not whole" for level in found]
+    if found != architecture.strides:
+        whole = [stride.limit_denominator(MAX_STRIDE) for stride in found]
+        made = [
+            str(near) if near == stride else f"{near}, not whole"
+            for near, stride in zip(whole, found, strict=True)
+        ]
         raise WeightsError(
             f"the strides are {shown(architecture.strides)}, but its layers produce {shown(made)}"
         )

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from torch import Tensor
 
@@ -27,8 +27,8 @@ MAX_MULTIPLY_ADDS_PER_PIXEL = 2_500_000
 """Ten times those of YOLOv5x6."""
 _SMALL_IMAGE_SIZE, _USUAL_IMAGE_SIZE = 128, 640
 _FLOAT_BYTES = 4
-_MAX_STRIDE = 1024
-_ANY_STRIDE = math.lcm(*range(1, _MAX_STRIDE + 1))
+MAX_STRIDE = 1024
+_ANY_STRIDE = math.lcm(*range(1, MAX_STRIDE + 1))
 
 
 @dataclass(frozen=True)
@@ -91,38 +91,28 @@ def cost_of(architecture: Architecture, size_hw: tuple[int, int], *, images: int
     )
 
 
-class Cells(NamedTuple):
-    """A feature map has one cell for `pixels` pixels of the image on each axis, and `surplus` more."""
-
-    pixels: Fraction
-    surplus: int = 0
-
-
 @lru_cache(maxsize=16)
-def cells_of_levels(architecture: Architecture) -> tuple[tuple[Cells, ...], int]:
-    """The cells of what the head reads, and the number of which input height and width must be multiples.
+def strides_of(architecture: Architecture) -> tuple[tuple[Fraction, ...], int]:
+    """The strides of what the head reads, and the number of which input height and width must be multiples.
 
     That is the largest stride; that of a layer may be larger than those of the detection levels. A number
-    above `_MAX_STRIDE` is only known to be too large. Found by running the network for an image whose sides,
-    one twice the other, are multiples of each smaller stride. Raises like `cost_of`.
+    above `MAX_STRIDE` is only known to be too large. Found by running the network for an image whose sides
+    are multiples of each smaller stride. Raises like `cost_of`.
     """
     network = blueprint(architecture).eval()
     counter = CostCounter()
     outputs = _watched(network, counter)
-    pixels = ShapeTensor((1, architecture.image_channels, _ANY_STRIDE, 2 * _ANY_STRIDE), counter)
+    pixels = ShapeTensor((1, architecture.image_channels, _ANY_STRIDE, _ANY_STRIDE), counter)
     levels = network.features(cast(Tensor, pixels))
-    multiple = math.lcm(*(_cells(shape).pixels.numerator for _, shape in outputs))
-    return tuple(_cells(level.shape) for level in levels), multiple
+    # Some layers add or take a cell at the edge, of so many that only the stride shows.
+    strides = [Fraction(_ANY_STRIDE, shape[2]).limit_denominator(MAX_STRIDE) for _, shape in outputs]
+    multiple = math.lcm(*(stride.numerator for stride in strides))
+    return tuple(Fraction(_ANY_STRIDE, level.shape[2]) for level in levels), multiple
 
 
 def size_multiple(architecture: Architecture) -> int:
     """The number of which input height and width must be multiples for all layers to fit each other."""
-    return cells_of_levels(architecture)[1]
-
-
-def _cells(shape: Shape) -> Cells:
-    height, width = shape[2:]
-    return Cells(Fraction(_ANY_STRIDE, width - height), 2 * height - width)
+    return strides_of(architecture)[1]
 
 
 def usual_cost(architecture: Architecture) -> Cost:

@@ -134,14 +134,15 @@ def measure_lanes_ms(
 
     The runtimes are warm. Raises InferenceError.
     """
-    alone = partial(_run_all, _runs(whole, frames_hw))
-    of_lanes = [partial(_run_all, _runs(lane, frames_hw)) for lane in lanes]
+    frames = [_grey(frame_hw) for frame_hw in frames_hw]
+
+    def run(runtime: Runtime) -> None:
+        for frame in frames:
+            runtime(frame, "rgb", _NOTHING_FOUND)
+
     with ThreadPoolExecutor(len(lanes)) as threads:
-        taken = _take_turns(
-            {"whole": alone, "lanes": lambda: [*threads.map(lambda run: run(), of_lanes)]},
-        )
-    count = len(frames_hw)
-    return taken["whole"].wall_ms / count, taken["lanes"].wall_ms / (count * len(lanes))
+        taken = _take_turns({"whole": partial(run, whole), "lanes": lambda: [*threads.map(run, lanes)]})
+    return taken["whole"].wall_ms / len(frames), taken["lanes"].wall_ms / (len(frames) * len(lanes))
 
 
 def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uint8]) -> Runtime | None:
@@ -155,16 +156,6 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
         _log.warning("Runtime '%s' was not measured, because it failed: %s", name, error)
         return None
     return runtime
-
-
-def _runs(runtime: Runtime, frames_hw: Sequence[tuple[int, int]]) -> list[Run]:
-    """A run with a grey frame for each of `frames_hw`."""
-    return [partial(runtime, _grey(frame_hw), "rgb", _NOTHING_FOUND) for frame_hw in frames_hw]
-
-
-def _run_all(runs: Iterable[Run]) -> None:
-    for run in runs:
-        run()
 
 
 def _grey(frame_hw: tuple[int, int]) -> NDArray[np.uint8]:
