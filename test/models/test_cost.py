@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -115,10 +116,18 @@ def test_sides_of_images_are_multiples_of_what_every_layer_takes(
     assert strides_of(architecture) == ((multiple,), multiple)
 
 
-def test_a_stride_that_no_image_fits_is_told_as_too_large() -> None:
-    layers = tuple(Layer((-1,), 1, "Conv", (8, 9, 8)) for _ in range(4))
-    architecture = dataclasses.replace(SIZES["n"], layers=(*layers, Layer((3,), 1, "Detect")))
+@pytest.mark.parametrize("count", [4, 500], ids=["four", "none of the largest image's pixels is left"])
+def test_a_stride_that_no_image_fits_is_told_as_too_large(count: int) -> None:
+    layers = tuple(Layer((-1,), 1, "MaxPool2d", (8, 8, 0)) for _ in range(count))
+    head = Layer((count - 1,), 1, "Detect")
+    architecture = dataclasses.replace(PLAIN, layers=(*layers, head))
     assert size_multiple(architecture) > 1024
+
+
+def test_the_smallest_strides_are_those_of_layers_that_enlarge() -> None:
+    layers = (Layer((-1,), 1, "Upsample"),) * 150
+    architecture = dataclasses.replace(PLAIN, layers=(*layers, Layer((149,), 1, "Detect")))
+    assert strides_of(architecture) == ((Fraction(1, 2**150),), 1)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from typing import Any
 
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Argument, Layer
 from yolov5_lifecycle.models.convolutions import LAYER_KINDS
-from yolov5_lifecycle.models.cost import MAX_STRIDE, check_architecture, strides_of
+from yolov5_lifecycle.models.cost import MAX_STRIDE, check_architecture, nearest_stride, strides_of
 from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
@@ -129,10 +129,9 @@ def _check_strides(architecture: Architecture) -> None:
     except ValueError as error:
         raise WeightsError(str(error)) from None
     if found != architecture.strides:
-        whole = [stride.limit_denominator(MAX_STRIDE) for stride in found]
         made = [
             str(near) if near == stride else f"{near}, not whole"
-            for near, stride in zip(whole, found, strict=True)
+            for stride, near in zip(found, map(nearest_stride, found), strict=True)
         ]
         raise WeightsError(
             f"the strides are {shown(architecture.strides)}, but its layers produce {shown(made)}"

@@ -29,6 +29,8 @@ _SMALL_IMAGE_SIZE, _USUAL_IMAGE_SIZE = 128, 640
 _FLOAT_BYTES = 4
 MAX_STRIDE = 1024
 _ANY_STRIDE = math.lcm(*range(1, MAX_STRIDE + 1))
+_FINEST = 10**100
+"""Far more cells for each pixel than any network has, and far less than `_ANY_STRIDE`."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +106,17 @@ def strides_of(architecture: Architecture) -> tuple[tuple[Fraction, ...], int]:
     outputs = _watched(network, counter)
     pixels = ShapeTensor((1, architecture.image_channels, _ANY_STRIDE, _ANY_STRIDE), counter)
     levels = network.features(cast(Tensor, pixels))
-    # Some layers add or take a cell at the edge, of so many that only the stride shows.
-    strides = [Fraction(_ANY_STRIDE, shape[2]).limit_denominator(MAX_STRIDE) for _, shape in outputs]
-    multiple = math.lcm(*(stride.numerator for stride in strides))
-    return tuple(Fraction(_ANY_STRIDE, level.shape[2]) for level in levels), multiple
+    multiple = math.lcm(*(max(nearest_stride(_stride(shape)).numerator, 1) for _, shape in outputs))
+    return tuple(_stride(level.shape) for level in levels), multiple
+
+
+def _stride(shape: Shape) -> Fraction:
+    return Fraction(_ANY_STRIDE, max(shape[2], 1))  # strides of 8 after each other may leave no cell
+
+
+def nearest_stride(stride: Fraction) -> Fraction:
+    """A stride of `strides_of` without the cells that layers add or take at the edge."""
+    return stride.limit_denominator(_FINEST)
 
 
 def size_multiple(architecture: Architecture) -> int:
