@@ -113,7 +113,7 @@ def test_sides_of_images_are_multiples_of_what_every_layer_takes(
         strides=(multiple,),
         anchors_px=SIZES["n"].anchors_px[:1],
     )
-    assert strides_of(architecture) == ((multiple,), multiple)
+    assert strides_of(architecture) == ((Fraction(multiple),), multiple)
 
 
 @pytest.mark.parametrize("count", [4, 500], ids=["four", "none of the largest image's pixels is left"])
