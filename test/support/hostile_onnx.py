@@ -58,7 +58,8 @@ def unsqueezed() -> bytes:
     axes = field(1, b"axes") + b"\xa0\x01\x07" + field(8, b"".join(map(varint, range(4, 100_004))))
     operation = field(1, b"images") + field(2, b"x") + field(4, b"Unsqueeze") + field(5, axes)
     graph = field(1, operation) + graph_without_weights() + _weights()
-    return _PREFIX + field(7, graph) + field(8, b"\x10\x0b")
+    stride = field(1, b"stride") + field(2, b"32")
+    return _PREFIX + field(7, graph) + field(8, b"\x10\x0b") + field(14, stride)
 
 
 def changed(change: Callable[[Any], object], **options: Any) -> Callable[[], bytes]:
