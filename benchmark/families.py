@@ -36,11 +36,10 @@ def families() -> Iterator[tuple[str, Architecture]]:
 
 def _architecture(described: Mapping[str, Any]) -> Architecture:
     architecture = architecture_of(
-        described["yaml"],
+        described["yaml"] | {"ch": described["image_channels"]},
         classes=described["yaml"]["nc"],
         anchors_px=tuple(tuple(map(tuple, level)) for level in described["anchors_px"]),
         strides=tuple(described["strides"]),
-        image_channels=described["image_channels"],
     )
     others = tuple((path, activation) for path, activation in described.get("other_activations", []))
     return dataclasses.replace(architecture, activation=described["activation"], other_activations=others)

@@ -13,10 +13,7 @@ import torch
 from support.checkpoint_builder import (
     SMALL,
     foreign,
-    head,
-    layers_of,
     official_model,
-    pickled_method,
     saved,
     stripped,
 )
@@ -26,7 +23,6 @@ from support.wrong_models import data_parallel
 from torch import distributed, nn
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
-from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.model import Model, WeightsError
@@ -73,40 +69,6 @@ def test_folding_leaves_the_predictions_as_they_are(architecture: Architecture) 
     torch.testing.assert_close(predictions(folded), expected, rtol=1e-3, atol=1e-4)
 
 
-def fused(architecture: Architecture, method: str) -> Any:
-    """As YOLOv5's model.fuse() leaves it: convolutions with a bias, whose forward is another method."""
-    is_fused = dataclasses.replace(architecture, is_fused=True)
-    model = official_model(is_fused, half=False)
-    waiting = list(layers_of(model).values())
-    while waiting:
-        module = waiting.pop()
-        waiting.extend(vars(module)["_modules"].values())
-        if type(module).__name__ in ("Conv", "DWConv"):
-            vars(module)["forward"] = pickled_method(module, method)
-    return model
-
-
-@pytest.mark.long
-@every_small
-def test_a_fused_model_is_read_and_converted(architecture: Architecture, tmp_path: Path) -> None:
-    method = "forward_fuse" if architecture.activation == "SiLU" else "fuseforward"  # its name before v6
-    model = read_checkpoint(saved(stripped(fused(architecture, method))))
-    is_fused = dataclasses.replace(architecture, is_fused=True)
-    assert_same_model(model, is_fused, random_network(0, is_fused))
-    write_safetensors(model, tmp_path / "fused.safetensors")
-    again = read_safetensors((tmp_path / "fused.safetensors").read_bytes())
-    assert_same_model(again, is_fused, random_network(0, is_fused))
-    torch.testing.assert_close(
-        predictions(fuse(model.network())), predictions(model.network()), rtol=1e-3, atol=1e-4
-    )
-
-
-def with_nms(model: Any) -> Any:
-    """As v3.1 to v5.0 do it for an export."""
-    layers_of(model)[str(len(layers_of(model)))] = foreign("models.common.NMS", _modules={}, f=-1)
-    return model
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(
     "checkpoint",
@@ -124,7 +86,6 @@ def with_nms(model: Any) -> Any:
             ),
             id="as torch.hub loads it",
         ),
-        pytest.param(lambda model: stripped(with_nms(model)), id="NMS added for an export"),
     ],
 )
 def test_what_is_around_a_model_is_left_out(checkpoint: Callable[[Any], Any]) -> None:
@@ -142,26 +103,6 @@ def test_a_model_of_a_training_on_several_machines_is_read(tmp_path: Path) -> No
     finally:
         distributed.destroy_process_group()
     assert_same_model(read_checkpoint(data), SMALL, random_network(0, SMALL))
-
-
-def test_boxes_are_computed_with_the_anchors_in_pixels_that_older_models_hold() -> None:
-    """In half precision both buffers are rounded, each on its own."""
-    architecture = EVERY_SMALL["cross-stage"]
-    anchors_px = (((10.123, 13.3), (16.7, 30.9)), ((30.3, 61.7), (62.2, 45.1)))
-    model = official_model(dataclasses.replace(architecture, anchors_px=anchors_px), before_v6=True)
-    buffers = vars(head(model))["_buffers"]
-    buffers["anchor_grid"] = torch.tensor(anchors_px).half().view(2, 1, 2, 1, 1, 2)
-    read = read_checkpoint(saved(stripped(model)))
-    rounded = torch.tensor(anchors_px).half().float()
-    assert torch.equal(torch.tensor(read.architecture.anchors_px), rounded)
-    assert torch.equal(read.state_dict["model.8.anchors"], rounded / torch.tensor([4, 8]).view(2, 1, 1))
-
-
-def test_images_of_a_model_without_that_entry_in_its_yaml_may_be_grey() -> None:
-    architecture = EVERY_SMALL["resized"]
-    model = official_model(architecture, before_v6=True)
-    assert "ch" not in model.yaml
-    assert read_checkpoint(saved(stripped(model))).architecture.image_channels == 1
 
 
 def test_a_number_of_channels_that_is_that_of_the_head_is_not_scaled() -> None:

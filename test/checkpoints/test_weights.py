@@ -102,20 +102,8 @@ def test_a_file_is_what_its_bytes_say_whatever_its_suffix_or_a_link(good: Path, 
     assert loaded.model.class_names == CLASS_NAMES
 
 
-_FETCHED = "`fetch_weights {}` downloads this model"
-_DOWNLOADED = "download it, and write the path of the file; `fetch_weights n` downloads an official"
-
-
 @pytest.mark.parametrize(
-    ("url", "remedy"),
-    [
-        pytest.param("https://github.com/v7.0/yolov5n.pt", _FETCHED.format("n"), id="official"),
-        pytest.param("HTTPS://Mirror.example/YOLOv5S6.PT", _FETCHED.format("s6"), id="in capitals"),
-        pytest.param("https://me:secret@host/best.pt?raw=1", _DOWNLOADED, id="own model"),
-        pytest.param("file:///home/me/my%20model.pt", "write '/home/me/my model.pt'", id="file"),
-        pytest.param("File://localhost/home/best.pt", "write /home/best.pt", id="file of this host"),
-        pytest.param("FILE://~/best.pt", "write ~/best.pt", id="file at home"),
-    ],
+    "url", ["HTTPS://Mirror.example/YOLOv5S6.PT", "https://me:secret@host/best.pt?raw=1", "file:///home/a.pt"]
 )
 @pytest.mark.parametrize(
     "look",
@@ -128,11 +116,12 @@ _DOWNLOADED = "download it, and write the path of the file; `fetch_weights n` do
         ),
     ],
 )
-def test_a_url_is_answered_with_what_to_type(url: str, remedy: str, look: Callable[[str], object]) -> None:
+def test_a_url_is_answered_with_what_to_type(url: str, look: Callable[[str], object]) -> None:
     with pytest.raises(WeightsError) as refused:
         look(url)
     message = in_one_line(str(refused.value))
-    assert f"this is a URL, and a path is expected: {remedy}" in message
+    assert "this is a URL, and a path is expected: download it" in message
+    assert "`fetch_weights n` downloads an official model" in message
     assert "secret" not in message
 
 

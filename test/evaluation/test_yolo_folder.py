@@ -178,6 +178,7 @@ def test_the_root_is_not_advised_for_a_file_that_does_not_exist(line: str, tmp_p
         pytest.param("names: {1: dog, 0: cat}", ("cat", "dog"), id="mapping in disorder"),
         pytest.param("names: [no, 1, 007, '2']", ("no", "1", "007", "2"), id="as they are written"),
         pytest.param("names: [2024-01-02, = ]", ("2024-01-02", "="), id="what is neither text nor number"),
+        pytest.param("names: [1, '1']", ("1", "1"), id="number and text"),
         pytest.param("nc: 2", None, id="none"),
     ],
 )

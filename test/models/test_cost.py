@@ -17,14 +17,13 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.cost import (
-    Cells,
-    cells_of_levels,
     check_architecture,
     check_memory,
     check_proportions,
     checked_cost,
     cost_of,
     size_multiple,
+    strides_of,
     usual_cost,
 )
 from yolov5_lifecycle.models.head import Segment
@@ -114,13 +113,21 @@ def test_sides_of_images_are_multiples_of_what_every_layer_takes(
         strides=(multiple,),
         anchors_px=SIZES["n"].anchors_px[:1],
     )
-    assert cells_of_levels(architecture) == ((Cells(Fraction(multiple)),), multiple)
+    assert strides_of(architecture) == ((Fraction(multiple),), multiple)
 
 
-def test_a_stride_that_no_image_fits_is_told_as_too_large() -> None:
-    layers = tuple(Layer((-1,), 1, "Conv", (8, 9, 8)) for _ in range(4))
-    architecture = dataclasses.replace(SIZES["n"], layers=(*layers, Layer((3,), 1, "Detect")))
+@pytest.mark.parametrize("count", [4, 500], ids=["four", "none of the largest image's pixels is left"])
+def test_a_stride_that_no_image_fits_is_told_as_too_large(count: int) -> None:
+    layers = tuple(Layer((-1,), 1, "MaxPool2d", (8, 8, 0)) for _ in range(count))
+    head = Layer((count - 1,), 1, "Detect")
+    architecture = dataclasses.replace(PLAIN, layers=(*layers, head))
     assert size_multiple(architecture) > 1024
+
+
+def test_the_smallest_strides_are_those_of_layers_that_enlarge() -> None:
+    layers = (Layer((-1,), 1, "Upsample"),) * 150
+    architecture = dataclasses.replace(PLAIN, layers=(*layers, Layer((149,), 1, "Detect")))
+    assert strides_of(architecture) == ((Fraction(1, 2**150),), 1)
 
 
 @pytest.mark.parametrize(

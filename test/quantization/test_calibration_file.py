@@ -25,12 +25,6 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["my best.calibration.json"]
 
 
-def test_one_of_version_2_which_had_more_fields_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "best.calibration.json"
-    path.write_bytes(with_(format="yolov5_lifecycle calibration 2", weight_bits=8, measured=[])())
-    assert read_calibration(path).quantization == a_calibration().quantization
-
-
 def with_(**changed: object) -> Callable[[], bytes]:
     """The text of a calibration with other fields; None removes one."""
     fields = json.loads(a_calibration().model_dump_json()) | changed

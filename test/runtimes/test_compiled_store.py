@@ -19,7 +19,7 @@ from support.runtime_names import COMPILED_RUNTIMES
 from yolov5_lifecycle.atomic_file import FOLDER_PREFIX, temporary_folder
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.runtimes import compiled_runtime
-from yolov5_lifecycle.runtimes.cache import CompiledStore
+from yolov5_lifecycle.runtimes.cache import DiskCache
 from yolov5_lifecycle.runtimes.registry import load_runtime
 
 ONE, TWO, THREE, FOUR = (digit * 64 for digit in "1234")
@@ -29,9 +29,9 @@ FRAME = np.random.default_rng(0).integers(0, 256, (64, 96, 3), np.uint8)
 def test_what_is_kept_is_read_by_its_key(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
     for content in (b"0", b"1"):
-        CompiledStore(folder).keep(ONE, content)
-    CompiledStore(folder).keep(TWO, b"2")
-    store = CompiledStore(folder)
+        DiskCache(folder).keep(ONE, content)
+    DiskCache(folder).keep(TWO, b"2")
+    store = DiskCache(folder)
     assert [store.read(key) for key in (ONE, TWO, THREE)] == [b"1", b"2", None]
     assert sorted(file.name for file in folder.iterdir()) == [ONE, TWO]
 
@@ -58,7 +58,7 @@ def flip_a_bit(file: Path) -> None:
 def test_a_damaged_file_is_not_read_and_may_be_replaced(
     damage: Callable[[Path], object], tmp_path: Path
 ) -> None:
-    store = CompiledStore(tmp_path)
+    store = DiskCache(tmp_path)
     store.keep(ONE, b"compiled")
     damage(tmp_path / ONE)
     assert store.read(ONE) is None
@@ -70,7 +70,7 @@ def test_what_a_killed_process_has_left_half_written_is_removed(tmp_path: Path) 
     (tmp_path / f"{FOLDER_PREFIX}abandoned").mkdir()
     (tmp_path / ".notes").mkdir()
     with temporary_folder(tmp_path) as living:
-        CompiledStore(tmp_path).keep(ONE, b"compiled")
+        DiskCache(tmp_path).keep(ONE, b"compiled")
         assert sorted(tmp_path.iterdir()) == sorted([living, tmp_path / ".notes", tmp_path / ONE])
 
 
@@ -85,15 +85,15 @@ def test_a_place_that_cannot_be_written_costs_the_memory_only(
     block: Callable[[Path], None], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     block(tmp_path / "folder")
-    store = CompiledStore(tmp_path / "folder")
+    store = DiskCache(tmp_path / "folder")
     with caplog.at_level(logging.INFO):
         store.keep(ONE, b"compiled")
     assert store.read(ONE) is None
-    assert "The compiled model is not cached: " in caplog.text
+    assert "Not cached in " in caplog.text
 
 
 def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
-    store = CompiledStore(tmp_path, max_bytes=400)  # three of them, each with a digest of 32 bytes
+    store = DiskCache(tmp_path, max_bytes=400)  # three of them, each with a digest of 32 bytes
     for age_s, key in ((30, ONE), (20, TWO), (10, THREE)):
         store.keep(key, b"x" * 100)
         os.utime(tmp_path / key, (0, 1_000_000 - age_s))
@@ -105,17 +105,17 @@ def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
 def test_what_is_larger_than_all_that_may_be_kept_is_not_kept(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    store = CompiledStore(tmp_path, max_bytes=100)
+    store = DiskCache(tmp_path, max_bytes=100)
     store.keep(ONE, b"x" * 50)
     store.keep(TWO, b"x" * 100)
     assert [file.name for file in tmp_path.iterdir()] == [ONE]
-    assert "not cached: its 100 bytes exceed the limit" in caplog.text
+    assert "Not cached, because its 100 bytes exceed the limit" in caplog.text
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_bytes(b"x" * 1000)
     (tmp_path / "folder").mkdir()
-    store = CompiledStore(tmp_path, max_bytes=200)
+    store = DiskCache(tmp_path, max_bytes=200)
     for key in (ONE, TWO):
         store.keep(key, b"x" * 100)
         os.utime(tmp_path / key, (0, 2**33))  # as before a clock is set back: the new one is kept
@@ -123,7 +123,7 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
 
 
 def test_threads_may_keep_the_same_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    store = CompiledStore(tmp_path)
+    store = DiskCache(tmp_path)
     with ThreadPoolExecutor(4) as pool:
         for _ in range(100):
             pool.submit(store.keep, ONE, b"x" * 10_000)
@@ -193,7 +193,7 @@ def test_a_compiled_model_that_cannot_be_run_is_recompiled(
 ) -> None:
     expected = predictions(random_model(1), runtime_name)
     (file,) = cache.iterdir()
-    CompiledStore(cache).keep(file.name, b"of a version that nobody reads")
+    DiskCache(cache).keep(file.name, b"of a version that nobody reads")
     with caplog.at_level(logging.INFO):
         for _ in range(2):
             np.testing.assert_array_equal(predictions(random_model(1), runtime_name), expected)

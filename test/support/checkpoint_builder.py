@@ -46,7 +46,6 @@ _OFFICIAL_NAMES = {
         )
     },
     "MixConv2d": "models.experimental.MixConv2d",
-    "CrossCSP": "models.experimental.C3",
     "Detect": "models.yolo.Detect",
     "Segment": "models.yolo.Segment",
     "Proto": "models.common.Proto",
@@ -139,7 +138,9 @@ def official_model(
         class_weights=torch.ones(architecture.classes),
     )
     if before_v6:
-        del model.yaml["ch"], model.inplace
+        del model.inplace
+        if architecture.image_channels == 3:
+            del model.yaml["ch"]
         _add_anchor_grid(head(model), architecture)
     return model
 
@@ -232,8 +233,8 @@ def _row(layer: Layer) -> list[Any]:
     if layer.args[1:2] == (6,):
         arguments.append(2)  # otherwise YOLOv5 pads by half the kernel, which is 3
     sources = layer.sources[0] if len(layer.sources) == 1 else list(layer.sources)
-    name = {"CrossCSP": "C3"}.get(layer.kind, layer.kind)
-    return [sources, layer.repeats, f"nn.{name}" if name in _OF_TORCH else name, arguments]
+    name = f"nn.{layer.kind}" if layer.kind in _OF_TORCH else layer.kind
+    return [sources, layer.repeats, name, arguments]
 
 
 def _listed(argument: object) -> object:
@@ -249,10 +250,6 @@ def _official(module: nn.Module, names: Mapping[str, str], name: str = "") -> An
         state = {key: value for key, value in vars(module).items() if key not in _OWN_ATTRIBUTES}
         if name.endswith(".Concat"):
             state["d"] = 1
-        if name.endswith((".Conv", ".DWConv")) and isinstance(
-            children["bn"], nn.Identity
-        ):  # as fuse() leaves it
-            del children["bn"]
         return foreign(name, **state | {"_modules": children})
     kind: type[nn.Module] = nn.ConvTranspose2d if own else type(module)
     if kind is nn.ModuleList and any("models.yolo" in type(child).__module__ for child in children.values()):

@@ -151,11 +151,10 @@ def family_architecture(name: str) -> Architecture:
     found = families()[name]
     anchors_px = tuple(tuple(map(tuple, level)) for level in found["anchors_px"])
     architecture = architecture_of(
-        found["yaml"],
+        found["yaml"] | {"ch": found["image_channels"]},
         classes=found["yaml"]["nc"],
         anchors_px=anchors_px,
         strides=tuple(found["strides"]),
-        image_channels=found["image_channels"],
     )
     others = tuple((path, activation) for path, activation in found.get("other_activations", []))
     return dataclasses.replace(architecture, activation=found["activation"], other_activations=others)

@@ -23,7 +23,11 @@ def _layer(
 
 SMALL_FAMILIES: Mapping[str, Architecture] = {
     "cross-stage": _with(
-        {2: _layer("BottleneckCSP", 64, repeats=3), 4: _layer("SPP", 64, (3, 5)), 7: _layer("CrossCSP", 64)},
+        {
+            2: _layer("BottleneckCSP", 64, repeats=3),
+            4: _layer("SPP", 64, (3, 5)),
+            7: _layer("BottleneckCSP", 64),
+        },
         activation="LeakyReLU(0.1)",
     ),
     "ghost": _with(

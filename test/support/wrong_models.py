@@ -106,6 +106,20 @@ def fuse_all(model: Any) -> None:
             vars(layer)["forward"] = pickled_method(layer, "forward_fuse")
 
 
+def nms() -> Any:
+    """As v3.1 to v5.0 add it to a model."""
+    return foreign("models.common.NMS", _modules={}, f=-1)
+
+
+def experimental_c3() -> bytes:
+    """A CSP of v3.0 with the name of a later block."""
+    model = official_model(SMALL_FAMILIES["cross-stage"])
+    layers = layers_of(model)
+    layers["2"] = foreign("models.experimental.C3", **vars(layers["2"]))
+    model.yaml["backbone"][2][2] = "C3"
+    return saved(stripped(model))
+
+
 def data_parallel(module: Any) -> nn.DataParallel[Any]:
     wrapper = nn.DataParallel.__new__(nn.DataParallel)
     vars(wrapper).update(_modules={"module": module}, src_device_obj=torch.device("cpu"))
@@ -183,10 +197,11 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         changed(lambda model: model.yaml["backbone"].__setitem__(2, [-1, 1, "C3TR", [64, True, 1, 0.7]])),
         "cannot be divided among 4 attention heads",
     ),
-    "anchors in pixels of another shape": (
-        changed(lambda model: vars(head(model))["_buffers"].update(anchor_grid=torch.ones(3, 1))),
-        "expected anchors in pixels of the levels",
+    "NMS added for an export": (
+        child("model", **{"9": nms()}),
+        "which YOLOv5 before 6.0 added for an export",
     ),
+    "the C3 of v3.0's experiments": (experimental_c3, "is a 'Conv2d', expected Conv: only the building"),
     "other activation": (
         child("model.0", act=nn.GELU()),
         "is a 'GELU': the model was trained with another activation",

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
@@ -42,7 +41,6 @@ _READERS: dict[str, Callable[[bytes], Model | Export]] = {
     ".onnx": _read_export,
 }
 _URL = re.compile(r"(?!package:)([a-z][a-z0-9+.-]+):/+(.*)", re.DOTALL | re.IGNORECASE)
-_OFFICIAL = re.compile(r".*/yolov5([nsmlx]6?|[nsmlx]-seg)\.pt", re.DOTALL | re.IGNORECASE)
 _EXPORTS = {
     ".torchscript": "a TorchScript export, which holds a program",
     ".engine": "a TensorRT export",
@@ -150,25 +148,17 @@ def weights_digest(path: Path, *, sha256: str = "") -> str:
 def shown_path(path: Path) -> str:
     """`path` as the user wrote it: of a URL, Path drops slashes, by which secrets in it are recognised."""
     url = _URL.fullmatch(str(path))
-    return f"{url[1]}://{'/' if _is_local(url) else ''}{url[2]}" if url else str(path)
+    return f"{url[1]}://{url[2]}" if url else str(path)
 
 
 def _url_advice(path: Path) -> str:
     """What to do with a path that is a URL; "" for a path."""
-    url = _URL.fullmatch(str(path))
-    if url is None or os.path.lexists(path):
+    if _URL.fullmatch(str(path)) is None or os.path.lexists(path):
         return ""
-    remedy = "download it, and write the path of the file; `fetch_weights n` downloads an official model"
-    if official := _OFFICIAL.fullmatch(url[2]):
-        remedy = f"`fetch_weights {official[1].lower()}` downloads this model, with --url from a mirror"
-    if _is_local(url):
-        local = f"/{unquote(url[2]).removeprefix('localhost/')}"
-        remedy = f"write {local[1:] if local.startswith('/~') else shell_command(local)}"
-    return f"this is a URL, and a path is expected: {remedy}"
-
-
-def _is_local(url: re.Match[str]) -> bool:
-    return url[1].lower() == "file"
+    return (
+        "this is a URL, and a path is expected: download it, unless it is a file of this machine, and write "
+        "the path without file://; `fetch_weights n` downloads an official model, with --url from a mirror"
+    )
 
 
 def expanded(path: Path) -> Path:

@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -21,13 +20,13 @@ from yolov5_lifecycle.checkpoints.yaml_architecture import (
     MAX_ANCHORS,
     MAX_COEFFICIENTS,
     MAX_LEVELS,
-    MAX_STRIDE,
     layer_kind,
     layer_sources,
 )
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture
-from yolov5_lifecycle.models.blocks import Bottleneck, Contract, CrossConv, CrossCSP, Expand
-from yolov5_lifecycle.models.convolutions import ACTIVATIONS, Conv, DWConv, MixConv2d, leaky_relu
+from yolov5_lifecycle.models.blocks import Bottleneck, Contract, CrossConv, Expand
+from yolov5_lifecycle.models.convolutions import ACTIVATIONS, DWConv, MixConv2d, leaky_relu
+from yolov5_lifecycle.models.cost import MAX_STRIDE
 from yolov5_lifecycle.models.head import HEADS, Segment
 from yolov5_lifecycle.models.model import MAX_CLASSES, WeightsError, blueprint, checked_integer, shown
 from yolov5_lifecycle.models.network import Concat, Network
@@ -70,7 +69,6 @@ _SETTINGS: Mapping[type[nn.Module], tuple[str, ...]] = MappingProxyType(
 _OTHER_CLASS_NAMES: Mapping[type[nn.Module], tuple[str, ...]] = MappingProxyType(
     {
         DWConv: ("DWConv", "Conv"),  # until v5.0 it was a function that made the other class
-        CrossCSP: ("C3",),
         nn.BatchNorm2d: ("BatchNorm2d", "SyncBatchNorm"),  # trained with --sync-bn; the same but for training
         NonDynamicallyQuantizableLinear: ("NonDynamicallyQuantizableLinear", "_LinearWithBias"),
     }
@@ -129,15 +127,6 @@ def _holds_tensors(state: Mapping[object, object]) -> bool:
     return bool(state) and all(isinstance(value, StoredTensor) for value in state.values())
 
 
-def without_nms(modules: Mapping[str, Stub]) -> dict[str, Stub]:
-    """`modules` without the last layer that v3.1 to v5.0 added for export; it has no tensors."""
-    layers = modules["model"].group("_modules") if "model" in modules else {}
-    last = f"model.{list(layers)[-1]}" if layers else ""
-    if last and modules[last].pickled_name.endswith("models.common.NMS"):
-        return {path: module for path, module in modules.items() if path.partition(f"{last}.")[0] != last}
-    return dict(modules)
-
-
 def head_path(modules: Mapping[str, Stub]) -> str:
     """The path of the head, the last layer."""
     layers = [path for path in modules if path.startswith("model.") and path.count(".") == 1]
@@ -155,32 +144,6 @@ def _without_layers(modules: Mapping[str, Stub]) -> str:
         models = len(root.group("_modules"))
         return f"it is an Ensemble of {models} models, and one model is expected: use the .pt of one of them"
     return f"expected a YOLOv5 model, found a {shown(root.kind)} without layers"
-
-
-def own_yaml(root: Stub, modules: Mapping[str, Stub]) -> object:
-    """The yaml of the model, with version-specific layer names replaced by our layer kinds."""
-    yaml = root.get("yaml")
-    if not isinstance(yaml, dict):
-        return yaml
-    backbone, head = yaml.get("backbone"), yaml.get("head")
-    if not isinstance(backbone, (list, tuple)) or not isinstance(head, (list, tuple)):
-        return yaml
-    rows = [_own_row(row, modules.get(f"model.{index}")) for index, row in enumerate([*backbone, *head])]
-    return yaml | {"backbone": rows[: len(backbone)], "head": rows[len(backbone) :]}
-
-
-def _own_row(row: Any, module: Stub | None) -> Any:
-    is_experiment = module is not None and module.pickled_name.endswith("models.experimental.C3")
-    if is_experiment and isinstance(row, (list, tuple)) and len(row) == 4 and row[2] == "C3":
-        return [row[0], row[1], "CrossCSP", row[3]]
-    return row
-
-
-def image_channels(stored: Mapping[str, StoredTensor], first: Stub | None) -> int:
-    """Channels of the images, from the first weights: a yaml from before v6.0 lacks them."""
-    shapes = (tensor.shape for key, tensor in stored.items() if key.startswith("model.0."))
-    shape = next((shape for shape in shapes if len(shape) == 4), (0, 3))
-    return shape[1] // 4 if first is not None and first.kind == "Focus" else shape[1]
 
 
 def classes_of(head: Stub) -> int:
@@ -211,13 +174,8 @@ def strides_of(root: Stub, read: Read) -> tuple[int, ...]:
     return tuple(map(int, values))
 
 
-def anchors_of(
-    anchors: StoredTensor | None, grid: StoredTensor | None, strides: tuple[int, ...], read: Read
-) -> AnchorsPx:
-    """Anchors in pixels from the buffer in grid cells, (levels, anchors, 2).
-
-    Until v5.0 there is also `grid`, (levels, 1, anchors, 1, 1, 2) in pixels, by which boxes are computed.
-    """
+def anchors_of(anchors: StoredTensor | None, strides: tuple[int, ...], read: Read) -> AnchorsPx:
+    """Anchors in pixels from the buffer in grid cells, (levels, anchors, 2)."""
     shape = () if anchors is None else anchors.shape
     if anchors is None or len(shape) != 3 or shape[0] != len(strides) or shape[2] != 2:
         raise WeightsError(
@@ -225,12 +183,7 @@ def anchors_of(
         )
     if not 1 <= shape[1] <= MAX_ANCHORS:
         raise WeightsError(f"expected 1 to {MAX_ANCHORS} anchors on each level, found {shape[1]}")
-    if grid is not None and grid.shape != (shape[0], 1, shape[1], 1, 1, 2):
-        raise WeightsError(f"expected anchors in pixels of the levels, found the shape {grid.shape}")
-    if grid is None:
-        in_pixels = read(anchors).double() * torch.tensor(strides, dtype=torch.float64).view(-1, 1, 1)
-    else:
-        in_pixels = read(grid).double().view(shape)
+    in_pixels = read(anchors).double() * torch.tensor(strides, dtype=torch.float64).view(-1, 1, 1)
     anchors_px = tuple(
         tuple((float(wide), float(high)) for wide, high in level) for level in in_pixels.tolist()
     )
@@ -245,9 +198,6 @@ def anchors_of(
 def check_settings(modules: Mapping[str, Stub], network: Network) -> None:
     """Raise WeightsError unless pickled modules match those of `network` in kind, settings and wiring."""
     expected = {path: module for path, module in network.named_modules() if path not in _CONTAINERS}
-    if network.architecture.is_fused:
-        for path in [path for path, module in expected.items() if isinstance(module, Conv)]:
-            del expected[f"{path}.bn"]
     for path, module in expected.items():
         _check_module(path, modules.get(path), module)
     for index, layer in enumerate(network.architecture.layers):
@@ -263,7 +213,7 @@ def _check_module(path: str, pickled: Stub | None, module: nn.Module) -> None:
     if pickled is None and isinstance(module, nn.BatchNorm2d):
         raise WeightsError(
             f"the module {path} is missing: the model was saved after fuse(), which merges normalisation "
-            "into convolutions, but not into all of them; use the checkpoint of the training"
+            "into convolutions; use the checkpoint of the training"
         )
     if pickled is None or pickled.kind not in names:
         found = "is missing" if pickled is None else f"is a {shown(pickled.kind)}"
@@ -272,7 +222,7 @@ def _check_module(path: str, pickled: Stub | None, module: nn.Module) -> None:
             "YOLOv5 models are supported"
         )
     if isinstance(module, MixConv2d):
-        _check_mixed(path, pickled, module)
+        _check_mixed(path, pickled)
     for name, value in _settings(module).items():
         if not _same(pickled.get(name), value):
             raise WeightsError(f"{path}.{name} is {shown(pickled.get(name))}, expected {shown(value)}")
@@ -280,23 +230,14 @@ def _check_module(path: str, pickled: Stub | None, module: nn.Module) -> None:
         raise WeightsError(f"{path}.batch_first is True, expected False")
 
 
-def _check_mixed(path: str, pickled: Stub, module: MixConv2d) -> None:
+def _check_mixed(path: str, pickled: Stub) -> None:
     """Until v6.0 a MixConv2d had one group and added its input."""
     mixed = [part for part in pickled.group("_modules").values() if isinstance(part, Stub)]
     parts = [part for several in mixed for part in several.group("_modules").values()]
-    if all(isinstance(part, Stub) and part.get("groups") == 1 for part in parts) and _may_add(module):
+    if all(isinstance(part, Stub) and part.get("groups") == 1 for part in parts):
         raise WeightsError(
             f"the module {path} is a MixConv2d of YOLOv5 before 6.1, which adds its input: not supported"
         )
-
-
-def _may_add(module: MixConv2d) -> bool:
-    convolutions = [part for part in module.m if isinstance(part, nn.Conv2d)]
-    channels_out = sum(convolution.out_channels for convolution in convolutions)
-    return all(
-        convolution.in_channels == channels_out and convolution.stride == (1, 1)
-        for convolution in convolutions
-    )
 
 
 def _settings(module: nn.Module) -> dict[str, object]:
@@ -325,7 +266,7 @@ def _same(found: object, expected: object) -> bool:
 
 
 def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Architecture:
-    """`architecture` with the activations of `modules`, and fused if they are.
+    """`architecture` with the activations of `modules`.
 
     The modules are known by their paths in the network. Raises WeightsError for an unsupported activation.
     """
@@ -337,7 +278,6 @@ def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Archi
     }
     chosen = Counter(name for path, name in names.items() if isinstance(made[path], nn.SiLU))
     usual = chosen.most_common(1)[0][0] if chosen else architecture.activation
-    convolutions = [path for path, module in made.items() if isinstance(module, Conv)]
     return dataclasses.replace(
         architecture,
         activation=usual,
@@ -346,7 +286,6 @@ def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Archi
             for path, name in names.items()
             if name != (usual if isinstance(made[path], nn.SiLU) else "Identity")
         ),
-        is_fused=bool(convolutions) and not any(f"{path}.bn" in modules for path in convolutions),
     )
 
 

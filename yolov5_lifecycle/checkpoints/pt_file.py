@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 
-import torch
 from torch import Tensor
 
 from yolov5_lifecycle.checkpoints.archive import Archive, read_archive
@@ -16,15 +15,11 @@ from yolov5_lifecycle.checkpoints.pickled_model import (
     check_settings,
     classes_of,
     head_path,
-    image_channels,
     model_root,
-    own_yaml,
     strides_of,
-    without_nms,
 )
 from yolov5_lifecycle.checkpoints.pickled_objects import StoredTensor, Stub, modules_of, tensors_of
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
-from yolov5_lifecycle.models.architecture import AnchorsPx
 from yolov5_lifecycle.models.model import (
     DTYPES,
     Model,
@@ -36,8 +31,6 @@ from yolov5_lifecycle.models.model import (
     shown,
 )
 
-_ORIGINAL, _MASK = "_orig", "_mask"
-"""What the names of a weight before pruning, and of the ones and zeros to multiply it by, end in."""
 MAX_SURPLUS_BYTES = 64 << 20
 MAX_SURPLUS = 8
 """Max ratio of other bytes in a file to the bytes of its layers, beyond `MAX_SURPLUS_BYTES`.
@@ -55,19 +48,11 @@ def read_checkpoint(data: bytes) -> Model:
     Raises WeightsError.
     """
     archive = read_archive(data)
-    modules = without_nms(modules_of(model_root(unpickled(archive))))
-    tensors = _named_like_layers(dict(tensors_of(modules)))
+    modules = modules_of(model_root(unpickled(archive)))
+    tensors = dict(tensors_of(modules))
     _check_storages(tensors, archive)
     _check_sizes(tensors, len(data))
     return _model(modules, tensors, archive)
-
-
-def _named_like_layers(tensors: Mapping[str, StoredTensor]) -> dict[str, StoredTensor]:
-    """`tensors` with the weights that torch.nn.utils.prune renamed by their own names, beside their masks."""
-    return {
-        key.removesuffix(_ORIGINAL) if f"{key.removesuffix(_ORIGINAL)}{_MASK}" in tensors else key: tensor
-        for key, tensor in tensors.items()
-    }
 
 
 def _check_storages(tensors: Mapping[str, StoredTensor], archive: Archive) -> None:
@@ -106,35 +91,21 @@ def _model(modules: Mapping[str, Stub], stored: Mapping[str, StoredTensor], arch
         return tensor.of(archive.storage(tensor.storage.key))
 
     strides = strides_of(root, read)
-    grid = stored.get(f"{head}.anchor_grid")
-    anchors_px = anchors_of(stored.get(f"{head}.anchors"), grid, strides, read)
     architecture = architecture_of(
-        own_yaml(root, modules),
+        root.get("yaml"),
         classes=classes,
-        anchors_px=anchors_px,
+        anchors_px=anchors_of(stored.get(f"{head}.anchors"), strides, read),
         strides=strides,
-        image_channels=image_channels(stored, modules.get("model.0")),
     )
     architecture = as_pickled(architecture, modules)
     network = blueprint(architecture)
     check_settings(modules, network)
     names = check_class_names(root.get("names"), classes)
+    # Until v5.0 the anchors are there twice, the second time in pixels.
     layers = {key: tensor for key, tensor in stored.items() if key != f"{head}.anchor_grid"}
-    expected = network.state_dict()
-    masks = {f"{key}{_MASK}": key for key in expected if f"{key}{_MASK}" in layers}
-    expected |= {mask: expected[key] for mask, key in masks.items()}
-    check_fit(expected, {key: tensor.on_meta() for key, tensor in layers.items()})
+    check_fit(network.state_dict(), {key: tensor.on_meta() for key, tensor in layers.items()})
     _check_byte_order(archive)
-    tensors = {key: read(tensor) for key, tensor in layers.items()}
-    for mask, key in masks.items():
-        tensors[key] = tensors[key] * tensors.pop(mask)
-    if grid is not None:  # up to rounding the same; the official network computes boxes with these
-        tensors[f"{head}.anchors"] = _in_cells(anchors_px, strides)
-    return checked_model(architecture, names, tensors)
-
-
-def _in_cells(anchors_px: AnchorsPx, strides: tuple[int, ...]) -> Tensor:
-    return torch.tensor(anchors_px) / torch.tensor(strides).view(-1, 1, 1)
+    return checked_model(architecture, names, {key: read(tensor) for key, tensor in layers.items()})
 
 
 def _check_byte_order(archive: Archive) -> None:

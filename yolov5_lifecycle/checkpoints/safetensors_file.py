@@ -16,11 +16,11 @@ from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.checkpoints.yaml_architecture import (
     MAX_ANCHORS,
     MAX_LEVELS,
-    MAX_STRIDE,
     architecture_of,
 )
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Argument
 from yolov5_lifecycle.models.convolutions import activation_of
+from yolov5_lifecycle.models.cost import MAX_STRIDE
 from yolov5_lifecycle.models.model import (
     MAX_CLASSES,
     Model,
@@ -170,15 +170,12 @@ def _architecture(described: Any) -> Architecture:
 
 def _activations(described: dict[str, Any]) -> dict[str, Any]:
     """The fields of an Architecture that a yaml lacks."""
-    others, is_fused = described.get("other_activations", []), described.get("is_fused", False)
+    others = described.get("other_activations", [])
     if not isinstance(others, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in others):
         raise WeightsError(f"expected pairs of paths and activations, found {shown(others)}")
-    if not isinstance(is_fused, bool):
-        raise WeightsError(f"expected true or false as is_fused, found {shown(is_fused)}")
     return {
         "activation": _activation(described.get("activation", Architecture.activation)),
         "other_activations": tuple((str(path), _activation(name)) for path, name in others),
-        "is_fused": is_fused,
     }
 
 

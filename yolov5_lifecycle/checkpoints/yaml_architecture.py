@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from types import MappingProxyType
 from typing import Any
 
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture, Argument, Layer
 from yolov5_lifecycle.models.convolutions import LAYER_KINDS
-from yolov5_lifecycle.models.cost import Cells, cells_of_levels, check_architecture
+from yolov5_lifecycle.models.cost import MAX_STRIDE, check_architecture, nearest_stride, strides_of
 from yolov5_lifecycle.models.head import HEADS
 from yolov5_lifecycle.models.model import WeightsError, checked_integer, shown
 
@@ -20,7 +19,6 @@ MAX_REPEATS = 100
 MAX_BLOCKS = 400
 """Sum of the repeats of all layers with weights; the largest official network, x6, has 80."""
 MAX_LEVELS = 8
-MAX_STRIDE = 1024
 MAX_ANCHORS = 32
 _MAX_CHANNEL_MULTIPLE = 256
 MAX_CHANNELS = 8192
@@ -33,16 +31,15 @@ _MAX_WINDOWS = 8
 
 
 def architecture_of(
-    yaml: object, *, classes: int, anchors_px: AnchorsPx, strides: tuple[int, ...], image_channels: int = 3
+    yaml: object, *, classes: int, anchors_px: AnchorsPx, strides: tuple[int, ...]
 ) -> Architecture:
     """The architecture from the `backbone` and `head` rows and multiples, validated; raises WeightsError.
 
-    `image_channels` counts where the yaml has no entry `ch`, as before v6.0. The activations are those of
-    `Architecture` by default.
+    The activations are those of `Architecture` by default.
     """
     if not isinstance(yaml, dict):
         raise WeightsError(f"expected a dict as the model's yaml, found {shown(yaml)}")
-    channels = yaml.get("ch", image_channels)
+    channels = yaml.get("ch", Architecture.image_channels)
     if isinstance(channels, bool) or not isinstance(channels, int) or channels not in (1, 3):
         raise WeightsError(
             f"the model reads images of {shown(channels)} channels; only models for colour images, of 3, and "
@@ -128,11 +125,14 @@ def _check_strides(architecture: Architecture) -> None:
     if heads != [len(architecture.layers) - 1]:
         raise WeightsError(f"expected one {' or '.join(HEADS)} layer, the last, found {len(heads)}")
     try:
-        found, multiple = cells_of_levels(architecture)
+        found, multiple = strides_of(architecture)
     except ValueError as error:
         raise WeightsError(str(error)) from None
-    if found != tuple(Cells(Fraction(stride)) for stride in architecture.strides):
-        made = [str(level.pixels) if level.surplus == 0 else f"{level.pixels}, not whole" for level in found]
+    if found != architecture.strides:
+        made = [
+            str(near) if near == stride else f"{near}, not whole"
+            for stride, near in zip(found, map(nearest_stride, found), strict=True)
+        ]
         raise WeightsError(
             f"the strides are {shown(architecture.strides)}, but its layers produce {shown(made)}"
         )
@@ -294,7 +294,6 @@ ROWS: Mapping[str, Sequence[Given]] = MappingProxyType(
         "C3Ghost": _PARTIAL,
         "C3SPP": (CHANNELS, replace(WINDOWS, default=(5, 9, 13))),
         "BottleneckCSP": _PARTIAL,
-        "CrossCSP": _PARTIAL,
         "SPP": (CHANNELS, replace(WINDOWS, default=(5, 9, 13))),
         "SPPF": (CHANNELS, replace(ODD_KERNEL, default=5, is_kept=True)),
         "ConvTranspose2d": (CHANNELS, replace(KERNEL, is_required=True), STRIDE, NO_PADDING, NO_PADDING),

@@ -80,11 +80,10 @@ def _parameters(model: Model) -> int:
 
 
 def _describe(path: Path) -> int:
-    from yolov5_lifecycle.checkpoints.description import Description
+    from yolov5_lifecycle.checkpoints.description import description
 
-    described = Description(path)
-    written = write_output("convert", described.text)
-    return written or int(not described.is_usable)
+    text, is_usable = description(path)
+    return write_output("convert", text) or int(not is_usable)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -244,14 +244,6 @@ class BottleneckCSP(C3):
         fold_normalisation(self, self.cv3, self.cv2)
 
 
-@layer_kind
-class CrossCSP(BottleneckCSP):
-    """The block named C3 in the experimental module of v3.0 and v3.1."""
-
-    def _part(self, hidden: int, shortcut: bool, groups: int) -> nn.Module:
-        return CrossConv(hidden, hidden, 3, 1, groups, 1.0, shortcut)
-
-
 class TransformerLayer(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()

@@ -1,11 +1,9 @@
 """Names of classes as text that is safe to show, whatever kinds of values a file has as names.
 
-A name without unprintable characters is never changed, and a changed name never equals another one.
+A name without unprintable characters is never changed.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 from yolov5_lifecycle.printable import escaped
 
@@ -25,8 +23,8 @@ def class_names_of(names: object, least: int, most: int) -> tuple[str, ...]:
     """The names of `least` to `most` classes, by index, from a list or from a dict by index.
 
     Numbers and truth values become text, blanks of every kind become spaces, and unprintable characters
-    become escapes such as `\\x1b`. A class without a name is called "class 3", say, by its index; so is a
-    changed name that would equal another: "1 (class 3)". Equal names that need no change stay equal.
+    become escapes such as `\\x1b`. A class without a name is called "class 3", say, by its index. Equal names
+    stay equal.
 
     Raises ClassNamesError.
     """
@@ -34,7 +32,7 @@ def class_names_of(names: object, least: int, most: int) -> tuple[str, ...]:
     if not isinstance(found, (list, tuple)) or not least <= len(found) <= most:
         told = f"{len(found)} names" if isinstance(found, (list, tuple)) else _shown(found)
         raise ClassNamesError(f"expected names of {_range(least, most)} classes, found {told}")
-    return _distinct(found, [_text(name) for name in found])
+    return tuple(_text(name) or f"class {index}" for index, name in enumerate(found))
 
 
 def safe_name(name: str) -> str:
@@ -79,22 +77,6 @@ def _text(name: object) -> str:
     if not isinstance(name, str):
         raise ClassNamesError(f"expected class names that are strings or numbers, found {_shown(name)}")
     return safe_name(name)
-
-
-def _distinct(names: Sequence[object], texts: Sequence[str]) -> tuple[str, ...]:
-    """`texts`, of which those that differ from `names` got a number where they would equal another one."""
-    taken = {text for text, name in zip(texts, names, strict=True) if text == name and text}
-    distinct = []
-    for index, (name, text) in enumerate(zip(names, texts, strict=True)):
-        unique = text
-        if text != name or not text:
-            unique = text or f"class {index}"
-            while unique in taken:
-                unique += f" (class {index})"
-            _check_length(unique)
-            taken.add(unique)
-        distinct.append(unique)
-    return tuple(distinct)
 
 
 def _range(least: int, most: int) -> str:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from torch import Tensor
 
@@ -27,8 +27,10 @@ MAX_MULTIPLY_ADDS_PER_PIXEL = 2_500_000
 """Ten times those of YOLOv5x6."""
 _SMALL_IMAGE_SIZE, _USUAL_IMAGE_SIZE = 128, 640
 _FLOAT_BYTES = 4
-_MAX_STRIDE = 1024
-_ANY_STRIDE = math.lcm(*range(1, _MAX_STRIDE + 1))
+MAX_STRIDE = 1024
+_ANY_STRIDE = math.lcm(*range(1, MAX_STRIDE + 1))
+_FINEST = 10**100
+"""Far more cells for each pixel than any network has, and far less than `_ANY_STRIDE`."""
 
 
 @dataclass(frozen=True)
@@ -91,38 +93,35 @@ def cost_of(architecture: Architecture, size_hw: tuple[int, int], *, images: int
     )
 
 
-class Cells(NamedTuple):
-    """A feature map has one cell for `pixels` pixels of the image on each axis, and `surplus` more."""
-
-    pixels: Fraction
-    surplus: int = 0
-
-
 @lru_cache(maxsize=16)
-def cells_of_levels(architecture: Architecture) -> tuple[tuple[Cells, ...], int]:
-    """The cells of what the head reads, and the number of which input height and width must be multiples.
+def strides_of(architecture: Architecture) -> tuple[tuple[Fraction, ...], int]:
+    """The strides of what the head reads, and the number of which input height and width must be multiples.
 
     That is the largest stride; that of a layer may be larger than those of the detection levels. A number
-    above `_MAX_STRIDE` is only known to be too large. Found by running the network for an image whose sides,
-    one twice the other, are multiples of each smaller stride. Raises like `cost_of`.
+    above `MAX_STRIDE` is only known to be too large. Found by running the network for an image whose sides
+    are multiples of each smaller stride. Raises like `cost_of`.
     """
     network = blueprint(architecture).eval()
     counter = CostCounter()
     outputs = _watched(network, counter)
-    pixels = ShapeTensor((1, architecture.image_channels, _ANY_STRIDE, 2 * _ANY_STRIDE), counter)
+    pixels = ShapeTensor((1, architecture.image_channels, _ANY_STRIDE, _ANY_STRIDE), counter)
     levels = network.features(cast(Tensor, pixels))
-    multiple = math.lcm(*(_cells(shape).pixels.numerator for _, shape in outputs))
-    return tuple(_cells(level.shape) for level in levels), multiple
+    multiple = math.lcm(*(max(nearest_stride(_stride(shape)).numerator, 1) for _, shape in outputs))
+    return tuple(_stride(level.shape) for level in levels), multiple
+
+
+def _stride(shape: Shape) -> Fraction:
+    return Fraction(_ANY_STRIDE, max(shape[2], 1))  # strides of 8 after each other may leave no cell
+
+
+def nearest_stride(stride: Fraction) -> Fraction:
+    """A stride of `strides_of` without the cells that layers add or take at the edge."""
+    return stride.limit_denominator(_FINEST)
 
 
 def size_multiple(architecture: Architecture) -> int:
     """The number of which input height and width must be multiples for all layers to fit each other."""
-    return cells_of_levels(architecture)[1]
-
-
-def _cells(shape: Shape) -> Cells:
-    height, width = shape[2:]
-    return Cells(Fraction(_ANY_STRIDE, width - height), 2 * height - width)
+    return strides_of(architecture)[1]
 
 
 def usual_cost(architecture: Architecture) -> Cost:

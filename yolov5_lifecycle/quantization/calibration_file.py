@@ -34,13 +34,11 @@ Range = tuple[Figure, Figure]
 
 
 class Calibration(BaseModel):
-    """The content of a calibration file. Those of version 2 had further fields, which are ignored."""
+    """The content of a calibration file."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
-    format: Literal["yolov5_lifecycle calibration 2", "yolov5_lifecycle calibration 3"] = (
-        "yolov5_lifecycle calibration 3"
-    )
+    format: Literal["yolov5_lifecycle calibration 3"] = "yolov5_lifecycle calibration 3"
     weights_sha256: Digest
     image_size: Annotated[int, Field(ge=32, le=4096)]
     ranges: Annotated[dict[Name, Range], Field(min_length=1)]

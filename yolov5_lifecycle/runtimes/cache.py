@@ -43,20 +43,20 @@ def write_cache(path: Path, *parts: bytes) -> None:
     atomic_write(path, *parts, is_durable=False)
 
 
-class CompiledStore:
+class DiskCache:
     """Bytes by a key of 64 hexadecimal digits, one file each, in a `folder` that may begin with ~.
 
     Beyond `max_bytes` in total, the least recently used files are evicted.
     """
 
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
-        self._folder = folder
+        self.folder = folder
         self._max_bytes = max_bytes
 
     def read(self, key: str) -> bytes | None:
         """The content cached under `key`; None when it is missing or damaged."""
         try:
-            path = (self._folder / key).expanduser()
+            path = (self.folder / key).expanduser()
             with open(path, "rb", opener=open_itself) as file:
                 digest, kept = file.read(_DIGEST_BYTES), file.read(self._max_bytes)
         except NO_PLACE:
@@ -68,15 +68,17 @@ class CompiledStore:
     def keep(self, key: str, content: bytes) -> None:
         """Cache `content` under `key`; a failure is only logged."""
         if _DIGEST_BYTES + len(content) > self._max_bytes:
-            _log.warning("The compiled model is not cached: its %d bytes exceed the limit", len(content))
+            _log.warning(
+                "Not cached, because its %d bytes exceed the limit: %s", len(content), self.folder / key
+            )
             return
         try:
-            write_cache(self._folder / key, hashlib.sha256(content).digest(), content)
+            write_cache(self.folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
-            _log.warning("The compiled model is not cached: %s", error)
+            _log.warning("Not cached in %s: %s", self.folder, error)
             return
         with suppress(*NO_PLACE):  # another process may evict at the same time
-            self._evict(self._folder.expanduser() / key)
+            self._evict(self.folder.expanduser() / key)
 
     def _evict(self, newest: Path) -> None:
         """Remove the other files used longest ago, until all take up at most `max_bytes`."""

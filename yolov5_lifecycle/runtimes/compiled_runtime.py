@@ -5,11 +5,12 @@ from __future__ import annotations
 import hashlib
 import logging
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 from weakref import WeakValueDictionary
 
 import cv2
@@ -24,7 +25,7 @@ from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.runtimes.cache import CompiledStore, cache_folder, installed_build, processor
+from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, closed
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
 from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
@@ -82,17 +83,31 @@ class Engine:
     precision: str = "fp32"
 
 
-class Program(Protocol):
-    """What an engine can run for frames of any shape: a model's network, or an export."""
+class Program(ABC):
+    """What an engine can run for frames of any shape: a model's network, or an export.
 
-    engine: Engine
-    precision: str
+    It is loaded once for all runtimes with the same `Threads`, and freed with the last of them.
+    """
 
+    def __init__(self, engine: Engine, precision: str) -> None:
+        self.engine, self.precision = engine, precision
+        self._loading = threading.Lock()
+        self._loaded: WeakValueDictionary[tuple[str, Threads], Loaded] = WeakValueDictionary()
+
+    @abstractmethod
     def network(self, shape: Shape, threads: Threads) -> Callable[..., Predictions]:
         """The network for frames of `shape`, called as `Runtime` is; raises the engine's errors.
 
         It may only be used while denormal floats are zero.
         """
+
+    def shared(self, part: str, threads: Threads, load: Callable[[], Loaded]) -> Loaded:
+        """The `part` that a runtime with the same `threads` has loaded, or what `load` returns."""
+        with self._loading:
+            found = self._loaded.get((part, threads))
+            if found is None:
+                found = self._loaded[part, threads] = load()
+            return found
 
 
 class CompiledRuntime:
@@ -156,30 +171,27 @@ def processor_threads() -> Threads:
     return Threads(torch.get_num_threads())
 
 
-class Compiler:
+class Compiler(Program):
     """Compiles the network of `model` with `engine`, in int8 with `quantization`, and caches the results.
 
     `head` is the network's last layer, which is not compiled; `proto` its part that computes mask prototypes,
-    None if the network does not segment. Its images have `channels`, 3 or 1. What is compiled is loaded once
-    for all runtimes with the same `Threads`, and freed with the last of them.
+    None if the network does not segment. Its images have `channels`, 3 or 1.
 
     Raises QuantizationError if `quantization` belongs to another network.
     """
 
     def __init__(self, model: Model, engine: Engine, quantization: Quantization | None = None) -> None:
+        super().__init__(engine, engine.precision)
         self._network = model.network().requires_grad_(False)
         self._quantization = quantization
         if quantization is not None:
             quantization.check(convolutions(self._network))
         self.channels = model.architecture.image_channels
-        self.engine, self.precision = engine, engine.precision
-        self._store = CompiledStore(cache_folder("compiled"))
+        self._store = DiskCache(cache_folder("compiled"))
         self._identity = _identity(model, engine, quantization)
         detect = self._network.head
         self.head = DetectionHead(detect)
         self.proto = detect.proto if isinstance(detect, Segment) else None
-        self._loading = threading.Lock()
-        self._loaded: WeakValueDictionary[tuple[str, Threads], Loaded] = WeakValueDictionary()
 
     def network(self, shape: Shape, threads: Threads) -> _Compiled:
         """See `Program`."""
@@ -198,11 +210,7 @@ class Compiler:
         return self._one(f"prototypes {shape}", lambda: prototype_graph(proto, shape), threads)
 
     def _one(self, part: str, graph: Callable[[], bytes], threads: Threads) -> Loaded:
-        with self._loading:
-            found = self._loaded.get((part, threads))
-            if found is None:
-                found = self._loaded[part, threads] = self._compiled(part, graph, threads)
-            return found
+        return self.shared(part, threads, lambda: self._compiled(part, graph, threads))
 
     def _compiled(self, part: str, graph: Callable[[], bytes], threads: Threads) -> Loaded:
         key = hashlib.sha256(f"{self._identity} {part}".encode()).hexdigest()

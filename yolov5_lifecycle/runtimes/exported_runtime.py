@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from functools import partial
-from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from yolov5_lifecycle.runtimes.compiled_runtime import (
     CompiledRuntime,
     Engine,
     Loaded,
+    Program,
     Threads,
     check_processor,
     processor_threads,
@@ -42,41 +41,35 @@ def load_exported(export: Export, engine: Engine, *, device: str) -> CompiledRun
     raise InferenceError(f"{engine.name} cannot load this export: {problem}")
 
 
-class _Exported:
-    """The graph of `export`, see `Program`.
+class _Exported(Program):
+    """The graph of `export`.
 
-    It is loaded once for all runtimes with the same `Threads`, and freed with the last of them. Embeddings
-    are empty. Rows of an export without objectness have 1 there, and those whose best class scores below the
-    least objectness that is asked for are left out.
+    Embeddings are empty. Rows of an export without objectness have 1 there, and those whose best class scores
+    below the least objectness that is asked for are left out.
     """
 
     def __init__(self, export: Export, engine: Engine, threads: Threads) -> None:
-        self.engine, self.precision = engine, export.precision
+        super().__init__(engine, export.precision)
         self._export = export
-        self._loading = threading.Lock()
-        self._first = engine.restore(export.graph, threads)
-        self._loaded = WeakValueDictionary({threads: self._first})
+        self._first = self._loaded_for(threads)
+        """Loaded at once, so that a graph that cannot be is refused."""
 
     def network(self, shape: Shape, threads: Threads) -> _ExportedNetwork:
         """See `Program`."""
-        with self._loading:
-            loaded = self._loaded.get(threads)
-            if loaded is None:
-                loaded = self._loaded[threads] = self.engine.restore(self._export.graph, threads)
-        return _ExportedNetwork(self._export, loaded, shape)
+        return _ExportedNetwork(self._export, self._loaded_for(threads), shape)
+
+    def _loaded_for(self, threads: Threads) -> Loaded:
+        return self.shared("graph", threads, lambda: self.engine.restore(self._export.graph, threads))
 
 
 class _ExportedNetwork:
-    """A loaded `export` for one input shape, with its input buffer.
-
-    A fixed batch is filled up with black.
-    """
+    """A loaded `export` for one input shape, with its input buffer."""
 
     def __init__(self, export: Export, loaded: Loaded, shape: Shape) -> None:
         self._export = export
         self._loaded = loaded
         self._run = loaded.new_run()
-        self._planes = np.zeros((export.batch or 1, export.channels, *shape), np.uint8)
+        self._planes = np.empty((1, export.channels, *shape), np.uint8)
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
         """See `Runtime`."""

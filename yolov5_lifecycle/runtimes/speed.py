@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, installed_build, processor, write_cache
+from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.registry import (
     COARSE,
     COARSE_RUNTIME,
@@ -65,7 +65,8 @@ def choose_runtime(
     """The runtime for `auto`: torch on a GPU; on a CPU the fastest at input size `frame_hw` in fp32.
 
     Results are cached in `folder` (default: the user's cache), so each combination of architecture, input
-    size, installed packages and CPU is measured once. Raises DeviceError.
+    size, installed packages and CPU is measured once; a record that is missing or damaged is replaced. Raises
+    DeviceError.
     """
     if precision in COARSE:
         return Choice(COARSE_RUNTIME, f"the only one for {precision}")
@@ -76,11 +77,12 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    record = (folder or cache_folder("choices")) / f"{_key(model, installed, frame_hw)}.json"
-    if (figures_ms := _read_figures(record, installed)) is not None:
-        return _fastest(figures_ms, f"cached in {record}")
+    cache, key = DiskCache(folder or cache_folder("choices")), _key(model, installed, frame_hw)
+    if (record := cache.read(key)) is not None:
+        return _fastest(json.loads(record), f"cached in {cache.folder / key}")
     figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
-    return _fastest(figures_ms, _write_figures(record, figures_ms))
+    cache.keep(key, json.dumps(figures_ms).encode())
+    return _fastest(figures_ms, "measured now")
 
 
 def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
@@ -96,29 +98,7 @@ def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
     packages = sorted({"numpy", *(package for runtime in installed for package in REQUIREMENTS[runtime])})
     builds = [installed_build(package) for package in packages]
     circumstances = [repr(model.architecture), frame_hw, builds, processor(), torch.get_num_threads()]
-    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()[:16]
-
-
-def _read_figures(path: Path, installed: list[str]) -> dict[str, float] | None:
-    """Milliseconds by runtime; None for a missing or damaged file, which the next measurement replaces."""
-    try:
-        figures_ms = json.loads(path.expanduser().read_bytes())
-    except (*NO_PLACE, ValueError):
-        return None
-    if not isinstance(figures_ms, dict) or not figures_ms.keys() <= set(installed):
-        return None
-    if "torch" not in figures_ms or not all(isinstance(ms, float) and ms > 0 for ms in figures_ms.values()):
-        return None
-    return figures_ms
-
-
-def _write_figures(path: Path, figures_ms: Mapping[str, float]) -> str:
-    """Where the figures are from: measured, with the reason if they cannot be cached."""
-    try:
-        write_cache(path, json.dumps(figures_ms).encode() + b"\n")
-    except NO_PLACE as error:
-        return f"measured now, not cached: {error}"
-    return "measured now"
+    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -154,14 +134,15 @@ def measure_lanes_ms(
 
     The runtimes are warm. Raises InferenceError.
     """
-    alone = partial(_run_all, _runs(whole, frames_hw))
-    of_lanes = [partial(_run_all, _runs(lane, frames_hw)) for lane in lanes]
+    frames = [_grey(frame_hw) for frame_hw in frames_hw]
+
+    def run(runtime: Runtime) -> None:
+        for frame in frames:
+            runtime(frame, "rgb", _NOTHING_FOUND)
+
     with ThreadPoolExecutor(len(lanes)) as threads:
-        taken = _take_turns(
-            {"whole": alone, "lanes": lambda: [*threads.map(lambda run: run(), of_lanes)]},
-        )
-    count = len(frames_hw)
-    return taken["whole"].wall_ms / count, taken["lanes"].wall_ms / (count * len(lanes))
+        taken = _take_turns({"whole": partial(run, whole), "lanes": lambda: [*threads.map(run, lanes)]})
+    return taken["whole"].wall_ms / len(frames), taken["lanes"].wall_ms / (len(frames) * len(lanes))
 
 
 def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uint8]) -> Runtime | None:
@@ -175,16 +156,6 @@ def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uin
         _log.warning("Runtime '%s' was not measured, because it failed: %s", name, error)
         return None
     return runtime
-
-
-def _runs(runtime: Runtime, frames_hw: Sequence[tuple[int, int]]) -> list[Run]:
-    """A run with a grey frame for each of `frames_hw`."""
-    return [partial(runtime, _grey(frame_hw), "rgb", _NOTHING_FOUND) for frame_hw in frames_hw]
-
-
-def _run_all(runs: Iterable[Run]) -> None:
-    for run in runs:
-        run()
 
 
 def _grey(frame_hw: tuple[int, int]) -> NDArray[np.uint8]:
