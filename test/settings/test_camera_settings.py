@@ -37,7 +37,6 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
     ("names", "problem"),
     [
         pytest.param(("",), "begin with a letter: rename ''", id="empty"),
-        pytest.param(("my__camera",), "single underscores that begin with a letter: rename 'my__", id="two"),
         pytest.param(("front.left",), "rename 'front.left'", id="dot"),
         pytest.param(("front\n",), r"rename 'front\n'", id="line-end"),
         pytest.param(
@@ -46,7 +45,6 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
             f"rename '{'a' * 64}'...",
             id="long",
         ),
-        pytest.param(("a" * 1_000_000,), "at most 64 letters", id="endless"),
         pytest.param(("front", "rear", "front"), "each camera once: leave out one 'front'", id="repeated"),
         pytest.param(("image",), "must not hold 'image', the name of a topic", id="topic"),
         pytest.param(("detection",), "'detection', the name of the status of the node in", id="status"),

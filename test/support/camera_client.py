@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -100,6 +102,34 @@ class CameraClient:
     def counts(self) -> dict[str, int]:
         """Frames by what became of them."""
         return self.served.counts(self.name)
+
+
+class Viewer:
+    """Receives images of the kind that the node publishes on a `topic` of `camera`."""
+
+    def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
+        self._camera = camera
+        self._client = camera.served.client
+        self.received: list[Any] = []
+        name = camera.topic(topic)
+        self._subscription = self._client.create_subscription(kind, name, self.received.append, 10)
+
+    def leave(self) -> None:
+        self._client.destroy_subscription(self._subscription)
+
+    def begin(self) -> None:
+        """Send images until one is answered, as the node may not have discovered the subscriber yet."""
+        before = len(self.received)
+
+        def have_come() -> bool:
+            self._camera.detect()
+            return len(self.received) > before
+
+        self._camera.served.wait_for(have_come, "images")
+
+    def of(self, header: Header) -> Any:
+        """The image with this header."""
+        return self._camera.served.received(self.received, header, "the image")
 
 
 class DepthClient(CameraClient):

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
-from support.detector_process import as_arguments, environment, is_matched_reliably
+from support.detector_process import as_arguments, environment
+from support.lone_node import lone_node
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector.camera_topic import colour_topic
@@ -176,7 +177,14 @@ class Receiver:
         publisher = self.sender.create_publisher(Image, TOPIC, QoSProfile(depth=1, durability=durability))
         self.node.wait_for(lambda: self.topic.look().publishers == matched + 1, "the publisher")
         self.look()
-        self.node.wait_for(lambda: is_matched_reliably(self.sender, publisher), "the reliable subscription")
+
+        def is_matched() -> bool:
+            """It first subscribes as best effort, and images between its two subscriptions are lost."""
+            infos = self.sender.get_subscriptions_info_by_topic(TOPIC)
+            reliabilities = [info.qos_profile.reliability.name for info in infos]
+            return reliabilities == ["RELIABLE"] and publisher.get_subscription_count() == 1
+
+        self.node.wait_for(is_matched, "the reliable subscription")
         return publisher
 
     def subscribe_again(self, publisher: Publisher, missed: int) -> None:
@@ -266,13 +274,11 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
 
 
 def test_an_override_of_the_depth_does_not_make_the_node_subscribe_again(ros_domain: int) -> None:
-    words = ["--ros-args", "-p", f"qos_overrides.{TOPIC}.subscription.depth:=5"]
-    with closing(Observer("context", domain=ros_domain)) as observer:
-        node = rclpy.create_node("receiver", context=observer.context, cli_args=words)
+    words = ("--ros-args", "-p", f"qos_overrides.{TOPIC}.subscription.depth:=5")
+    with lone_node("receiver", *words) as node:
         subscription = Subscription(colour_topic(node, "raw"), lambda _: None, depth=1)
         subscription.follow()
         (first,) = node.subscriptions
         subscription.follow()
         assert [*node.subscriptions] == [first]
         subscription.close()
-        node.destroy_node()

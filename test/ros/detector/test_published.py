@@ -6,15 +6,13 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
-from support.camera_client import CameraClient, DepthClient
+from support.camera_client import CameraClient, DepthClient, Viewer
 from support.preparations import CLASS_NAMES, Preparations, prediction
 from support.random_model import random_frame
 from support.runtime_names import EVERY_RUNTIME
@@ -42,29 +40,6 @@ from yolov5_lifecycle.ros.messages import image_message, image_of_message
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 
 # Annotated images
-
-
-class Viewer:
-    """Receives the annotated images of `camera`."""
-
-    def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
-        self._camera = camera
-        self.received: list[Any] = []
-        newest = QoSProfile(depth=10)
-        camera.served.client.create_subscription(kind, camera.topic(topic), self.received.append, newest)
-
-    def begin(self) -> None:
-        """Send images until one is drawn, as the node may not have discovered the subscriber yet."""
-        self._camera.served.wait_for(lambda: bool(self._camera.detect()) and bool(self.received), "an image")
-
-    def of(self, header: Header) -> Any:
-        """The annotated image with this header."""
-
-        def drawn() -> list[Any]:
-            return [message for message in self.received if message.header == header]
-
-        self._camera.served.wait_for(lambda: bool(drawn()), "the annotated image")
-        return drawn()[0]
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])

@@ -150,10 +150,11 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
     served.bring_to("active")
     prepare.gate.clear()
     prepared = len(prepare.sizes_hw)
-    sizes = [320 + 32 * step for step in range(8)]
+    asked: list[dict[str, object]] = [{"image_size": 320 + 32 * step} for step in range(7)]
+    asked.append({"weights": "/other.pt"})
     changes = []
-    for count, size in enumerate(sizes):
-        changes.append(served.begin_set(image_size=size))
+    for count, values in enumerate(asked):
+        changes.append(served.begin_set(**values))
         if count == 0:
             served.wait_for(lambda: len(prepare.sizes_hw) == prepared + 1, "the first to begin")
         if count > 1:
@@ -164,20 +165,31 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
     assert [result.successful for result in results] == [True, *[False] * 6, True]
     assert all("superseded by a later request" in result.reason for result in results[1:-1])
     assert len(prepare.sizes_hw) == prepared + 2
-    assert served.get("image_size") == sizes[-1]
+    assert (served.get("image_size"), served.get("weights")) == (320, "/other.pt")
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, True, False]
 
 
-def test_after_a_queue_of_reloads_was_dropped_the_next_one_is_carried_out(
-    served: ServedNode, prepare: Preparations
+@pytest.mark.parametrize("label", ["deactivate", "shutdown"])
+def test_leaving_active_wins_over_reloads_and_the_next_one_is_carried_out(
+    served: ServedNode, prepare: Preparations, label: str
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
+    prepared = len(prepare.sizes_hw)
     changes = [served.begin_set(image_size=size) for size in (320, 352)]
-    assert served.transition("deactivate")
+    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the first to begin")
+    assert served.set(lazy=False) == (True, ""), "after the second, which waits"
+    assert served.transition(label)
     prepare.gate.set()
     served.wait_for(lambda: all(change.done() for change in changes), "both answers")
-    assert served.transition("activate")
-    assert served.set(image_size=384) == (True, "")
+    for result in (change.result().result for change in changes):
+        assert not result.successful
+        assert "left the active state" in result.reason
+    assert served.get("image_size") == 640
+    assert all(runtime.is_closed for runtime in prepare.runtimes)
+    if label == "deactivate":
+        assert served.transition("activate")
+        assert served.set(image_size=384) == (True, "")
 
 
 def test_a_loaded_file_with_new_classes_and_new_weights_says_how_to_set_both(
