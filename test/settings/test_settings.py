@@ -153,7 +153,9 @@ def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
     ],
 )
 def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[str, object]) -> None:
-    assert validated(given).model_dump() == Settings().model_dump() | kept
+    settings = validated(given)
+    assert settings.model_dump() == Settings().model_dump() | kept
+    assert validated(settings.model_dump()) == settings
 
 
 def test_every_setting_says_what_a_user_needs() -> None:

@@ -353,14 +353,3 @@ def test_close_waits_for_every_thread_and_counts_each_frame_once(cameras: Camera
     assert [camera.counts() for camera in in_progress] == [{outcome: 1} for outcome in outcomes]
     assert cameras.inference.rest(0.0) is not bool(hung)
     assert cameras.inference.hanging == hung
-
-
-def test_in_a_pause_all_frames_come_to_rest(cameras: Cameras) -> None:
-    cameras.begin_two()
-    with cameras.inference.paused():
-        cameras.all[3].offer(1)
-        cameras.open()
-        assert cameras.inference.rest(PATIENCE_S)
-        assert cameras.all[3].used == []
-    cameras.all[3].wait()
-    assert cameras.all[3].published == [1]

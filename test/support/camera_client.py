@@ -155,12 +155,11 @@ class DepthClient(CameraClient):
             lambda: all(each.get_subscription_count() == count for each in publishers), "the subscriptions"
         )
 
-    def send_depth(self, *, encoding: str = "16UC1", with_info: bool = True) -> None:
+    def send_depth(self, *, with_info: bool = True) -> None:
         """Send a depth image and its camera_info with the stamp of the next image."""
         height, width = self.size_hw
         info = camera_info_message(self.sent + 1, height=height, width=width)
         message = depth_message(self.depth_m, self.sent + 1)
-        message.encoding = encoding
         for sent in (info, message):
             sent.header.frame_id = f"{self.name}_depth"
         if with_info:

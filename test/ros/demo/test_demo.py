@@ -102,12 +102,6 @@ def test_the_demo_says_why_it_cannot_run(
     assert capsys.readouterr().out.startswith("demo failed: ")
 
 
-def test_two_demonstrations_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["--console", "--cameras"])
-    assert "not allowed with argument" in capsys.readouterr().err
-
-
 @pytest.mark.long
 def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -10,16 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from support.preparations import Preparations
+from support.served_node import ServedNode, messages_of
 
-from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.settings.camera_names import MAX_CAMERAS
 from yolov5_lifecycle.settings.settings import validated
 
@@ -28,61 +22,25 @@ Values = dict[str, Any]
 MANY = [f"camera{number}" for number in range(MAX_CAMERAS)]
 
 
-class Detector:
-    """The node, whose services answer in its executor; no client, as examples are many."""
-
-    def __init__(self, file: Path) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, args=[])
-        arguments = ["--ros-args", "--params-file", str(file)]
-        self.node = DetectorNode(
-            prepare=Preparations(), context=self._context, cli_args=arguments, arguments=arguments
-        )
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        (self._service,) = (s for s in self.node.services if s.srv_name.endswith("/set_parameters"))
-
-    def set(self, name: str, value: Any) -> SetParametersResult:
-        """What `ros2 param set` or, of None, `ros2 param delete` is answered."""
-        message = ParameterMessage(name=name) if value is None else Parameter(name, value=value)
-        parameter = message if value is None else message.to_parameter_msg()
-        request = SetParameters.Request(parameters=[parameter])
-        answer = self._executor.create_task(self._service.callback, request, SetParameters.Response())
-        self._executor.spin_until_future_complete(answer)
-        (result,) = answer.result().results
-        return result
-
-    def configure(self) -> str:
-        """Why configure is refused, an empty string if it succeeds."""
-        done = self.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
-        return "" if done else str(self.node._problem)
-
-    def close(self) -> None:
-        self.node.close()
-        self._executor.shutdown()
-        rclpy.shutdown(context=self._context)
-
-
 @contextmanager
-def detector(folder: Path, given: Values) -> Iterator[Detector]:
+def detector(folder: Path, given: Values) -> Iterator[ServedNode]:
     """A node that was given these values in a file."""
     file = folder / "parameters.yaml"
     file.write_text(json.dumps({"/**": {"ros__parameters": given}}))
-    detector = Detector(file)
-    try:
-        yield detector
-    finally:
-        detector.close()
+    with ServedNode(Preparations(), arguments=["--ros-args", "--params-file", str(file)]) as served:
+        yield served
+    assert served.escaped == []
 
 
-def names_in(problems: str) -> set[str]:
-    """The parameters of which a refusal of configure says what is wrong."""
-    return set(re.findall(r"^  (\S+): ", problems, re.MULTILINE))
+def put(served: ServedNode, name: str, value: Any) -> SetParametersResult:
+    """What `ros2 param set` or, of None, `ros2 param delete` is answered."""
+    (result,) = served.set_one_by_one(messages_of(**{name: value}))
+    return result
 
 
-def deletable_in(problems: str) -> list[str]:
-    """The parameters that a refusal says how to delete."""
-    return list(dict.fromkeys(re.findall(r"ros2 param delete /yolov5 (\S+)$", problems, re.MULTILINE)))
+def configure(served: ServedNode) -> str:
+    """Why configure is refused, an empty string if it succeeds."""
+    return "" if served.transition("configure") else str(served.node._problem)
 
 
 WRONG_FILE: Values = {
@@ -118,15 +76,15 @@ def test_a_wrong_file_is_corrected_by_single_sets_in_any_order(
     ros_domain: int, tmp_path: Path, is_reversed: bool
 ) -> None:
     with detector(tmp_path, WRONG_FILE) as tried:
-        told = tried.configure()
+        told = configure(tried)
         right = {"min_box_size", "rear.classes", "front.track_high_threshold"}
-        assert names_in(told) >= WRONG_FILE.keys() - right
+        assert {*re.findall(r"^  (\S+): ", told, re.MULTILINE)} >= WRONG_FILE.keys() - right
         for name in sorted(CORRECTIONS, reverse=is_reversed):
-            result = tried.set(name, CORRECTIONS[name])
+            result = put(tried, name, CORRECTIONS[name])
             assert result.successful, (name, result.reason)
-        for name in deletable_in(tried.configure()):
-            assert tried.set(name, None).successful, name
-        assert tried.configure() == ""
+        for name in {*re.findall(r"ros2 param delete /yolov5 (\S+)$", configure(tried), re.MULTILINE)}:
+            assert put(tried, name, None).successful, name
+        assert configure(tried) == ""
         assert tried.node._settings.settings() == validated(WANTED)
 
 
@@ -203,7 +161,7 @@ def test_configure_names_every_problem_with_its_remedy(
     ros_domain: int, tmp_path: Path, given: Values, told: list[str]
 ) -> None:
     with detector(tmp_path, given) as tried:
-        first, *problems, last = tried.configure().split("\n")
+        first, *problems, last = configure(tried).split("\n")
     assert first == f"configure refused, {len(told)} problem(s):"
     assert [problem[2:][: len(beginning)] for problem, beginning in zip(problems, told, strict=True)] == told
     assert last == "  Correct values one by one, in any order: ros2 param set /yolov5 NAME VALUE"
@@ -211,15 +169,15 @@ def test_configure_names_every_problem_with_its_remedy(
 
 def test_a_wrong_value_stays_one_until_it_is_corrected_itself(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"image_size": [], "nonsense": [], "max_rate": -1.0}) as tried:
-        assert tried.configure().startswith("configure refused, 3 problem(s):")
-        tried.set("max_rate", 3.0)
-        assert tried.configure().startswith("configure refused, 2 problem(s):")
+        assert configure(tried).startswith("configure refused, 3 problem(s):")
+        put(tried, "max_rate", 3.0)
+        assert configure(tried).startswith("configure refused, 2 problem(s):")
 
 
 @pytest.mark.parametrize("given", [{"wieghts": "x"}, {"autostart": 1}], ids=["unknown", "read-only"])
 def test_configure_names_no_command_that_cannot_help(ros_domain: int, tmp_path: Path, given: Values) -> None:
     with detector(tmp_path, given) as tried:
-        assert "ros2 param set" not in tried.configure()
+        assert "ros2 param set" not in configure(tried)
 
 
 @pytest.mark.parametrize(
@@ -234,15 +192,15 @@ def test_a_set_that_needs_another_one_says_so_and_is_refused_when_configured(
     ros_domain: int, tmp_path: Path, given: Values, name: str, value: Any, remark: str
 ) -> None:
     with detector(tmp_path, given) as tried:
-        result = tried.set(name, value)
+        result = put(tried, name, value)
         assert result.successful
         assert result.reason.startswith("change another parameter, too, or configure is refused: ")
         assert remark in result.reason
-        assert tried.node.get_parameter(name).value == value
-        assert remark.rpartition(": ")[2].rstrip(".") in tried.configure()
+        assert tried.get(name) == value
+        assert remark.rpartition(": ")[2].rstrip(".") in configure(tried)
     with detector(tmp_path, given) as tried:
-        assert tried.configure() == ""
-        result = tried.set(name, value)
+        assert configure(tried) == ""
+        result = put(tried, name, value)
         assert not result.successful
         assert remark in result.reason
 
@@ -251,9 +209,9 @@ def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
     ros_domain: int, tmp_path: Path
 ) -> None:
     with detector(tmp_path, {}) as tried:
-        assert tried.configure() == ""
+        assert configure(tried) == ""
         for name, remedy in (("classes", " Set it to its default: []."), ("autostart", "")):
-            result = tried.set(name, None)
+            result = put(tried, name, None)
             assert not result.successful
             assert result.reason == (
                 f"{name}: a parameter of the node always has a value and cannot be deleted.{remedy}"
@@ -262,16 +220,16 @@ def test_deleting_a_parameter_of_the_node_is_refused_with_its_default(
 
 def test_setting_the_parameter_that_was_meant_corrects_the_name(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"cameras": ["front"], "front.max_rte": 5.0}) as tried:
-        assert "Did you mean 'front.max_rate'? Set that one, or" in tried.configure()
-        assert tried.set("front.max_rate", 5.0).successful
-        assert tried.configure() == ""
+        assert "Did you mean 'front.max_rate'? Set that one, or" in configure(tried)
+        assert put(tried, "front.max_rate", 5.0).successful
+        assert configure(tried) == ""
 
 
 def test_what_a_configured_node_was_given_wrong_has_no_effect_later(ros_domain: int, tmp_path: Path) -> None:
     with detector(tmp_path, {"cameras": ["front"], "frnt.max_rate": -1.0}) as tried:
-        assert tried.set("frnt.max_rate", None).successful
-        assert tried.configure() == ""
-        assert tried.node.trigger_cleanup() is TransitionCallbackReturn.SUCCESS
-        assert tried.set("cameras", ["front", "frnt"]).successful
-        assert tried.configure() == ""
+        assert put(tried, "frnt.max_rate", None).successful
+        assert configure(tried) == ""
+        assert tried.transition("cleanup")
+        assert put(tried, "cameras", ["front", "frnt"]).successful
+        assert configure(tried) == ""
         assert "frnt.max_rate" not in tried.node._settings.settings().overrides
