@@ -26,20 +26,16 @@ REMAP = ["--ros-args", "-r", f"~/image_raw:={CAMERA}"]
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 
 
-def file_of_the_page(folder: Path) -> list[str]:
-    """Arguments that name the parameter file of docs/images.md."""
-    (block,) = re.findall(r"^```yaml\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    (folder / "qos.yaml").write_text(block)
-    return ["--params-file", str(folder / "qos.yaml")]
-
-
 def assignment(name: str, value: object) -> list[str]:
     return ["-p", f"qos_overrides.{name}:={value}"]
 
 
 def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle(ros_domain: int, tmp_path: Path) -> None:
     """Its words are those of docs/images.md; the camera itself is reliable."""
-    arguments = ["--ros-args", *file_of_the_page(tmp_path), *REMAP[1:], "-p", "lazy:=false"]
+    file = tmp_path / "qos.yaml"
+    (words,) = re.findall(r"^```yaml\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    file.write_text(words)
+    arguments = [*REMAP, "--params-file", str(file), "-p", "lazy:=false"]
     with ServedNode(Preparations(), arguments=arguments) as served:
         client = served.client
         client.create_publisher(Image, CAMERA, 1)
@@ -121,15 +117,6 @@ def qualities(node: Any) -> Iterator[tuple[str, tuple[str, int, str]]]:
         for endpoint in list(endpoints):
             qos = endpoint.qos_profile
             yield f"{endpoint.topic_name}.{kind}", (qos.history.name, qos.depth, qos.reliability.name)
-
-
-def test_configure_refuses_a_wrong_override_until_the_next_start(ros_domain: int) -> None:
-    arguments = [*REMAP, *assignment(f"{CAMERA}.subscription.reliability", "relaible")]
-    with ServedNode(Preparations(), arguments=arguments) as served:
-        assert not served.transition("configure")
-        assert served.status().message in PAGE.read_text()
-        assert served.state() == "unconfigured"
-        assert served.escaped == []
 
 
 def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain: int) -> None:

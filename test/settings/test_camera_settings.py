@@ -75,20 +75,6 @@ def test_settings_that_concern_one_camera_may_be_overridden() -> None:
     assert of_cameras == {s.name for s in SETTINGS if s.change in kinds} - {"max_consecutive_failures"}
 
 
-def test_without_cameras_the_settings_are_those_of_the_only_one() -> None:
-    settings = validated({"max_rate": 5.0})
-    assert settings.camera_names == ("",)
-    assert settings.for_camera("") == settings
-
-
-@pytest.mark.parametrize(
-    ("values", "name"), [({}, "front"), (FRONT_AND_REAR, ""), (FRONT_AND_REAR, "side")], ids=str
-)
-def test_there_are_no_settings_of_a_camera_that_does_not_exist(values: dict[str, Any], name: str) -> None:
-    with pytest.raises(KeyError, match="expected a camera"):
-        validated(values).for_camera(name)
-
-
 def test_a_camera_inherits_what_is_not_overridden() -> None:
     given = {"classes": ["cat"], "max_rate": 5, "device": "cpu", "front.max_rate": 2, "front.classes": []}
     settings = validated({**FRONT_AND_REAR, **given})

@@ -49,7 +49,6 @@ def test_images_of_another_size_than_the_calibration_end_the_process_with_the_re
     ("parameters", "told"),
     [
         pytest.param({"rate": -1.0, "seed": -1}, ["rate: -1.0", "seed: -1"], id="ranges"),
-        pytest.param({"encoding": "yuv"}, ["encoding: 'yuv'", "one of rgb8, bgr8"], id="choice"),
         pytest.param(
             {"source": "/nowhere.mp4", "depth": True},
             ["depth, source: only the source 'synthetic' has depth, not '/nowhere.mp4'"],

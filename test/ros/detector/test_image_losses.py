@@ -160,11 +160,8 @@ class Receiver:
         self.received: list[ReceivedFrame] = []
         self.topic = colour_topic(self.node, "raw")
         self.input = ImageInput(self.received.append)
+        self.losses = self.input.losses
         self.input.follow(self.topic, "auto")
-
-    @property
-    def losses(self) -> ImageLosses:
-        return self.input.losses
 
     def close(self) -> None:
         self.input.follow(None, "auto")
@@ -176,7 +173,7 @@ class Receiver:
         matched = self.topic.look().publishers
         publisher = self.sender.create_publisher(Image, TOPIC, QoSProfile(depth=1, durability=durability))
         self.node.wait_for(lambda: self.topic.look().publishers == matched + 1, "the publisher")
-        self.look()
+        self.input.update()
 
         def is_matched() -> bool:
             """It first subscribes as best effort, and images between its two subscriptions are lost."""
@@ -186,16 +183,6 @@ class Receiver:
 
         self.node.wait_for(is_matched, "the reliable subscription")
         return publisher
-
-    def subscribe_again(self, publisher: Publisher, missed: int) -> None:
-        """As a change of `image_reliability` does, while `missed` images are sent."""
-        for _ in range(missed):
-            publisher.publish(Image())
-        self.input.follow(self.topic, "reliable")
-        self.node.wait_for(lambda: publisher.get_subscription_count() == 1, "the new subscription")
-
-    def look(self) -> None:
-        self.input.update()
 
     def send(self, publisher: Publisher, count: int = 1) -> None:
         """Publish so many at once; only the last can be taken, since one is kept."""
@@ -217,7 +204,7 @@ def test_images_that_replace_each_other_while_the_node_is_busy_are_dropped_in_qu
     camera = receiver.publisher()
     for count in (1, 3, 1, 5):
         receiver.send(camera, count)
-    receiver.look()
+    receiver.input.update()
     assert len(receiver.received) + receiver.losses.dropped_in_queue == 10
     assert receiver.losses.lost == 0
 
@@ -250,11 +237,11 @@ def test_a_second_camera_that_joins_and_leaves_adds_nothing(receiver: Receiver) 
     for _ in range(3):
         receiver.send(second, 50)
         receiver.send(first)
-        receiver.look()
+        receiver.input.update()
     receiver.sender.destroy_publisher(second)
     for _ in range(100):  # until the node has seen that one is left
         receiver.send(first, 3)
-        receiver.look()
+        receiver.input.update()
         if receiver.losses.dropped_in_queue:
             break
     assert (receiver.losses.lost, receiver.losses.dropped_in_queue) == (0, 2)
@@ -265,9 +252,12 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
 ) -> None:
     camera = receiver.publisher(DurabilityPolicy.TRANSIENT_LOCAL)
     receiver.send(camera)
-    receiver.subscribe_again(camera, missed=4)
+    for _ in range(4):
+        camera.publish(Image())
+    receiver.input.follow(receiver.topic, "reliable")  # as a change of `image_reliability` does
+    receiver.node.wait_for(lambda: camera.get_subscription_count() == 1, "the new subscription")
     receiver.send(camera)
-    receiver.look()
+    receiver.input.update()
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.dropped_in_queue) == (2, 0, 4)
     (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
     assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE

@@ -15,7 +15,6 @@ from std_msgs.msg import Header
 from support.camera_client import CameraClient, DepthClient, Viewer
 from support.preparations import CLASS_NAMES, Preparations, prediction
 from support.random_model import random_frame
-from support.runtime_names import EVERY_RUNTIME
 from support.segmented_scene import (
     CAT_XYXY,
     DOG_XYXY,
@@ -287,24 +286,29 @@ def test_a_subscriber_to_masks_alone_does_not_keep_a_model_detecting_that_does_n
     served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
 
 
-SETTINGS = {"device": "cpu", "image_size": 96, "confidence_threshold": 0.3, "max_detections": 12}
+SETTINGS = {
+    "device": "cpu",
+    "runtime": "torch",
+    "image_size": 96,
+    "confidence_threshold": 0.3,
+    "max_detections": 12,
+}
 
 
 @pytest.mark.end_to_end
 @pytest.mark.usefixtures("ros_domain")
-@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
-def test_the_masks_of_a_checkpoint_are_published(runtime: str, tmp_path: Path) -> None:
-    """As YOLOv5 writes a segmentation checkpoint, with each real engine."""
+def test_the_masks_of_a_checkpoint_are_published(tmp_path: Path) -> None:
+    """As YOLOv5 writes a segmentation checkpoint, with a real engine."""
     weights = tmp_path / "small-seg.pt"
     weights.write_bytes(segmentation_checkpoint())
     shown = random_frame(75, 100)
-    detector = load_model(weights, runtime=runtime, **SETTINGS)  # type: ignore[arg-type]  # of any keyword
+    detector = load_model(weights, **SETTINGS)  # type: ignore[arg-type]  # of any keyword
     detector.selection = replace(detector.selection, with_masks=True)
     found = detector(shown)
     expected = found.label_image()
     assert expected is not None
     assert len(np.unique(expected)) > 5, "a model of random weights shows something everywhere"
-    values = SETTINGS | {"weights": weights, "runtime": runtime}
+    values = SETTINGS | {"weights": weights}
     with ServedNode(prepare_model, parameters=[f"{k}:={value}" for k, value in values.items()]) as served:
         served.bring_to("active")
         camera = CameraClient(served)
