@@ -141,9 +141,9 @@ WAYS = {
 }
 
 
-@pytest.mark.timeout(600)
-def test_a_detector_that_was_cut_off_reports_it_and_recovers() -> None:
-    """However the two find each other, all ways at once: most of the time they wait."""
+@pytest.fixture(scope="module")
+def trials() -> Iterator[dict[str, ChildProcess]]:
+    """One for each way to find each other, all at once: most of the time they wait."""
     if missing := [name for name in ("unshare", "nsenter", "ip", "mount") if shutil.which(name) is None]:
         pytest.skip(f"needs {', '.join(missing)} (util-linux, iproute2)")
     trial = [*ALONE, "sh", "-c", "mount -t tmpfs none /dev/shm && ip link add cable type veth"]
@@ -152,14 +152,21 @@ def test_a_detector_that_was_cut_off_reports_it_and_recovers() -> None:
         pytest.skip(f"this machine allows no network namespaces: {refused.stderr.strip()}")
     command = [*ALONE, sys.executable, "-W", "ignore", __file__]
     with ExitStack() as stack:
-        trials = {
+        yield {
             way: stack.enter_context(
                 ChildProcess(way, command, environment(DOMAIN) | SUPPORT_PATH | variables)
             )
             for way, variables in WAYS.items()
         }
-        failed = {way: trial.output for way, trial in trials.items() if trial.wait(timeout_s=600) != 0}
-    assert failed == {}
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("way", WAYS)
+def test_a_detector_that_was_cut_off_reports_it_and_recovers(
+    trials: dict[str, ChildProcess], way: str
+) -> None:
+    code = trials[way].wait(timeout_s=600)
+    assert code == 0, trials[way].output
 
 
 if __name__ == "__main__":
