@@ -61,11 +61,6 @@ def test_a_detection_without_a_place_is_left_out() -> None:
     assert array.header.stamp == Time(sec=7, nanosec=8)
 
 
-def test_placements_of_another_image_are_refused() -> None:
-    with pytest.raises(ValueError, match="argument 2"):
-        detection_3d_array_message(detections_2d(), [CUP], "depth_optical_frame")
-
-
 @pytest.mark.parametrize(
     "label_image",
     [

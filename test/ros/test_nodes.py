@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
+from support.lone_node import lone_node
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
@@ -37,10 +38,8 @@ def graph(names: int) -> Any:
 
 @pytest.fixture
 def node(ros_domain: int) -> Iterator[Node]:
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context)
-    yield rclpy.create_node("spun", context=context)
-    rclpy.try_shutdown(context=context)
+    with lone_node("spun") as node:
+        yield node
 
 
 @pytest.fixture

@@ -19,10 +19,9 @@ from support.worker import worker_domain
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS, EXIT_DEVICE_LOST
-from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer, RemoteLifecycleNode
+from yolov5_lifecycle.ros.detector.node import EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
 
-TOO_MANY_ABANDONED = "exiting (code 4): inference hangs in 1 abandoned sessions, the limit is 0"
 DEVICE_LOST = "exiting (code 3) because the device is lost: DeviceLostError: the GPU fell off the bus"
 SCRIPT = SUPPORT / "scripted_detector.py"
 
@@ -51,30 +50,8 @@ def send_until(observer: Observer, is_done: Callable[[], bool], what: str) -> No
     observer.wait_for(is_over, what)
 
 
-def lose_the_device(observer: Observer, process: ChildProcess) -> None:
-    send_until(observer, lambda: DEVICE_LOST in process.output, "the loss of the device")
-
-
-def abandon(observer: Observer, process: ChildProcess) -> None:
-    hang(observer, process)
-    node = RemoteLifecycleNode(observer, NODE)
-    node.wait_until_reachable()
-    assert node.change_state("deactivate")
-
-
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("script", "come_to", "told", "code"),
-    [
-        pytest.param("lose_device", lose_the_device, DEVICE_LOST, EXIT_DEVICE_LOST, id="lost device"),
-        pytest.param(
-            "hang_at_most_never", abandon, TOO_MANY_ABANDONED, EXIT_ABANDONED_SESSIONS, id="abandoned"
-        ),
-    ],
-)
-def test_what_ends_the_process_is_reported_and_has_an_exit_code_of_its_own(
-    script: str, come_to: Callable[[Observer, ChildProcess], None], told: str, code: int
-) -> None:
+def test_the_loss_of_the_device_is_reported_and_ends_the_process_with_a_code_of_its_own() -> None:
     reports: list[dict[str, str]] = []
 
     def take(message: DiagnosticArray) -> None:
@@ -82,20 +59,22 @@ def test_what_ends_the_process_is_reported_and_has_an_exit_code_of_its_own(
             values = {value.key: value.value for value in status.values}
             reports.append(values | {"message": status.message})
 
-    with scripted_detector(script) as (process, observer):
+    with scripted_detector("lose_device") as (process, observer):
         observer.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
         observer.wait_for(lambda: bool(reports), "the first diagnostics")
-        assert reports[0]["abandoned threads"] == "0"
         assert 10 < float(reports[0]["resident memory MB"]) < 10_000
-        come_to(observer, process)
-        observer.wait_for(lambda: reports[-1]["message"] == told, "the last diagnostics")
-        assert reports[-1]["abandoned threads"] == ("1" if come_to is abandon else "0")
-        assert process.wait(PATIENCE_S) == code
-    assert told in process.output
+        send_until(observer, lambda: DEVICE_LOST in process.output, "the loss of the device")
+        observer.wait_for(lambda: reports[-1]["message"] == DEVICE_LOST, "the last diagnostics")
+        assert process.wait(PATIENCE_S) == EXIT_DEVICE_LOST
 
 
-def ask_for_another_model(observer: Observer, process: ChildProcess) -> None:
-    """Set a parameter that needs a reload, and wait until that has begun."""
+def be_active(observer: Observer, process: ChildProcess) -> None:
+    observer.wait_for(lambda: "active with" in process.output, "the first model")
+
+
+def reload(observer: Observer, process: ChildProcess) -> None:
+    """Set a parameter that needs another model, and wait until that is being loaded."""
+    be_active(observer, process)
     client = observer.create_client(SetParametersAtomically, f"{NODE}/set_parameters_atomically")
     observer.wait_for(client.service_is_ready, "the service of parameters")
     parameter = Parameter("image_size", value=320).to_parameter_msg()
@@ -105,15 +84,6 @@ def ask_for_another_model(observer: Observer, process: ChildProcess) -> None:
         return "loading slowly" in process.output
 
     observer.wait_for(is_loading, "the reload")
-
-
-def be_active(observer: Observer, process: ChildProcess) -> None:
-    observer.wait_for(lambda: "active with" in process.output, "the first model")
-
-
-def reload(observer: Observer, process: ChildProcess) -> None:
-    be_active(observer, process)
-    ask_for_another_model(observer, process)
 
 
 def hang(observer: Observer, process: ChildProcess) -> None:
@@ -126,42 +96,31 @@ INFERENCE_LEFT = "inference has still not finished: its thread is abandoned"
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("script", "come_to", "ending", "models", "left"),
+    ("script", "come_to", "ending", "left"),
     [
-        pytest.param("work", be_active, signal.SIGHUP, 1, [], id="active"),
-        pytest.param("reload_slowly", reload, signal.SIGTERM, 1, [LOADER_LEFT], id="reloading"),
-        pytest.param("hang", hang, signal.SIGTERM, 1, [INFERENCE_LEFT], id="hanging"),
+        pytest.param("work", be_active, signal.SIGHUP, [], id="active"),
+        pytest.param("reload_slowly", reload, signal.SIGTERM, [LOADER_LEFT], id="reloading"),
+        pytest.param("hang", hang, signal.SIGTERM, [INFERENCE_LEFT], id="hanging"),
     ],
 )
-def test_a_signal_releases_every_model_and_ends_the_process_whatever_hangs(
-    script: str,
-    come_to: Callable[[Observer, ChildProcess], None],
-    ending: signal.Signals,
-    models: int,
-    left: list[str],
+def test_a_signal_releases_the_model_and_ends_the_process_whatever_hangs(
+    script: str, come_to: Callable[[Observer, ChildProcess], None], ending: signal.Signals, left: list[str]
 ) -> None:
     """What hangs does so for longer than the process is waited for."""
     with scripted_detector(script) as (process, observer):
         come_to(observer, process)
         assert process.stop(ending) == 0
-    assert process.output.count("model closed") == models
+    assert process.output.count("model closed") == 1
     assert [words for words in (LOADER_LEFT, INFERENCE_LEFT) if words in process.output] == left
     assert "Traceback" not in process.output
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("name", "signal_number"),
-    [
-        pytest.param("camera", signal.SIGINT, id="camera"),
-        pytest.param("detector", signal.SIGTERM, id="detector"),
-    ],
-)
-def test_a_signal_ends_the_process_cleanly_while_it_imports(name: str, signal_number: signal.Signals) -> None:
+def test_a_signal_ends_the_process_cleanly_while_it_imports() -> None:
     told_imports = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
-    with ChildProcess(name, [entry_point(name)], told_imports) as process:
+    with ChildProcess("detector", [entry_point("detector")], told_imports) as process:
         process.wait_for_output(" rclpy\n", 60)
-        assert process.stop(signal_number) == 0
+        assert process.stop(signal.SIGTERM) == 0
     assert "Traceback" not in process.output
 
 

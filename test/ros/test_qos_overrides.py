@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-from rclpy.lifecycle import LifecycleNode
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import Image
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import NODE
+from support.lone_node import lone_node
 from support.preparations import Preparations
-from support.served_node import ServedNode, image
+from support.served_node import ServedNode
 from vision_msgs.msg import Detection3DArray
 
 from yolov5_lifecycle.ros.topics import full_name, published, qos_problems, subscribed
@@ -24,34 +22,19 @@ from yolov5_lifecycle.ros.topics import full_name, published, qos_problems, subs
 PAGE = REPOSITORY / "docs" / "images.md"
 CAMERA = "/camera/image_raw"
 REMAP = ["--ros-args", "-r", f"~/image_raw:={CAMERA}"]
-RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
-
-
-def file_of_the_page(folder: Path) -> list[str]:
-    """Arguments that name the parameter file of docs/images.md."""
-    (block,) = re.findall(r"^```yaml\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
-    (folder / "qos.yaml").write_text(block)
-    return ["--params-file", str(folder / "qos.yaml")]
+BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 
 
 def assignment(name: str, value: object) -> list[str]:
     return ["-p", f"qos_overrides.{name}:={value}"]
 
 
-@contextmanager
-def started(*arguments: str) -> Iterator[LifecycleNode]:
-    """A node of the detector's name with these words on its command line."""
-    context = rclpy.Context()
-    rclpy.init(context=context, args=[])
-    node = LifecycleNode("yolov5", context=context, cli_args=[*REMAP, *arguments])
-    yield node
-    node.destroy_node()
-    rclpy.shutdown(context=context)
-
-
 def test_qos_overrides_of_a_parameter_file_apply_in_every_cycle(ros_domain: int, tmp_path: Path) -> None:
     """Its words are those of docs/images.md; the camera itself is reliable."""
-    arguments = ["--ros-args", *file_of_the_page(tmp_path), *REMAP[1:], "-p", "lazy:=false"]
+    file = tmp_path / "qos.yaml"
+    (words,) = re.findall(r"^```yaml\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+    file.write_text(words)
+    arguments = [*REMAP, "--params-file", str(file), "-p", "lazy:=false"]
     with ServedNode(Preparations(), arguments=arguments) as served:
         client = served.client
         client.create_publisher(Image, CAMERA, 1)
@@ -97,7 +80,7 @@ def reliabilities(infos: list[Any]) -> list[ReliabilityPolicy]:
 def test_a_wrong_override_is_named_with_the_remedy(
     ros_domain: int, name: str, value: object, reason: str
 ) -> None:
-    with started(*assignment(name, value)) as node:
+    with lone_node("yolov5", *REMAP, *assignment(name, value)) as node:
         (problem,) = qos_problems(node, ("",))
         assert problem.setting == f"qos_overrides.{name}"
         assert re.search(reason, problem.message)
@@ -105,7 +88,7 @@ def test_a_wrong_override_is_named_with_the_remedy(
 
 
 def test_every_topic_may_be_overridden_in_history_depth_and_reliability(ros_domain: int) -> None:
-    with started() as node:
+    with lone_node("yolov5", *REMAP) as node:
         names = [f"{full_name(node, topic)}.publisher" for topic in published(("",))]
         names += [f"{full_name(node, topic)}.subscription" for topic in subscribed(("",))]
     policies = {"history": "keep_all", "depth": 7, "reliability": "best_available"}
@@ -135,15 +118,6 @@ def qualities(node: Any) -> Iterator[tuple[str, tuple[str, int, str]]]:
             yield f"{endpoint.topic_name}.{kind}", (qos.history.name, qos.depth, qos.reliability.name)
 
 
-def test_configure_refuses_a_wrong_override_until_the_next_start(ros_domain: int) -> None:
-    arguments = [*REMAP, *assignment(f"{CAMERA}.subscription.reliability", "relaible")]
-    with ServedNode(Preparations(), arguments=arguments) as served:
-        assert not served.transition("configure")
-        assert served.status().message in PAGE.read_text()
-        assert served.state() == "unconfigured"
-        assert served.escaped == []
-
-
 def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain: int) -> None:
     override = assignment(f"{CAMERA}.subscription.reliability", "reliable")
     arguments = [*REMAP, *override, "-p", "image_reliability:=best_effort"]
@@ -159,21 +133,3 @@ def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain:
         compressed = f"{CAMERA}/compressed"
         served.wait_for(lambda: served.client.count_subscribers(compressed) == 1, "the other transport")
         assert served.escaped == []
-
-
-def test_without_an_override_the_subscription_follows_a_camera_that_is_replaced(ros_domain: int) -> None:
-    with ServedNode(Preparations(), arguments=[*REMAP, "-p", "lazy:=false"]) as served:
-        served.bring_to("active")
-        for reliability in (RELIABLE, BEST_EFFORT, RELIABLE):
-            profile = QoSProfile(depth=1, reliability=reliability)
-            camera = served.client.create_publisher(Image, CAMERA, profile)
-            infos = served.client.get_subscriptions_info_by_topic
-            served.wait_for(lambda: reliabilities(infos(CAMERA)) == [reliability], "the subscription")  # noqa: B023
-            received = len(served.detections)
-
-            def is_received() -> bool:
-                camera.publish(image())  # noqa: B023
-                return len(served.detections) > received  # noqa: B023
-
-            served.wait_for(is_received, "the detections in an image of this camera")
-            served.client.destroy_publisher(camera)

@@ -78,7 +78,9 @@ def test_a_file_speaks_to_the_nodes_it_names(
             id="colon in a list",
         ),
         pytest.param("a: {ros__parameters: {a: 12:30}}", "'12:30' has a colon", id="colon in braces"),
-        pytest.param("a: {ros__parameters: 5}", "line 1: expected names and values", id="value"),
+        pytest.param("a: {ros__parameters: {b: 1, b: x}}", "'b' has a value of another type", id="two types"),
+        pytest.param("a: {ros__parameters: {b: [[1, 2]]}}", "values alone, no lists", id="a list in a list"),
+        pytest.param("just text", "line 1: expected names of nodes", id="text"),
         pytest.param("ros__parameters: {a: 1}", "above ros__parameters is no name", id="no name"),
     ],
 )

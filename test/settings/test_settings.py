@@ -19,10 +19,7 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param({"confidence_threshold": 1.5}, "1.5 is not a number from 0 to 1", id="above-range"),
         pytest.param({"confidence_threshold": math.nan}, "nan is not a number", id="nan"),
         pytest.param({"confidence_threshold": True}, "true is not a number", id="bool-for-number"),
-        pytest.param({"confidence_threshold": "0.5"}, "'0.5' is not a number", id="text-for-number"),
-        pytest.param({"max_detections": 2.5}, "2.5 is not an integer", id="fraction-for-count"),
         pytest.param({"image_size": 650}, "a multiple of 32", id="no-multiple-of-a-stride"),
-        pytest.param({"lazy": 1}, "1 is not true or false", id="number-for-bool"),
         pytest.param({"model_size": "xl"}, "Did you mean 'x'?", id="misspelt-choice"),
         pytest.param({"device": "gpu"}, "Did you mean 'cuda'?", id="gpu"),
         pytest.param({"device": "cuda:one"}, "must be auto, cpu, cuda", id="device-index-in-words"),
@@ -41,9 +38,6 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param({"class_thresholds": ("a: 1.5",)}, "a number from 0 to 1, as in", id="high-threshold"),
         pytest.param(
             {"class_thresholds": ("a: 0.5", " a :0.4")}, "'a' has more than one threshold", id="twice"
-        ),
-        pytest.param(
-            {"class_thresholds": "[a: 0.5, b: 0.3]"}, 'Did you mean ["a: 0.5", "b: 0.3"]?', id="unquoted"
         ),
         pytest.param({"collect_reasons": ("unusal",)}, "Did you mean 'unusual'?", id="reason"),
         pytest.param({"collect_reasons": ("class: ",)}, "as in 'class: person'", id="reason-without-class"),
@@ -153,7 +147,9 @@ def test_the_stride_of_a_named_weights_file_is_left_to_the_file() -> None:
     ],
 )
 def test_what_is_plainly_meant_is_accepted(given: dict[str, object], kept: dict[str, object]) -> None:
-    assert validated(given).model_dump() == Settings().model_dump() | kept
+    settings = validated(given)
+    assert settings.model_dump() == Settings().model_dump() | kept
+    assert validated(settings.model_dump()) == settings
 
 
 def test_every_setting_says_what_a_user_needs() -> None:

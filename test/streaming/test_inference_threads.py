@@ -55,6 +55,23 @@ def test_a_newer_frame_replaces_only_the_one_of_its_own_camera_that_waits(line: 
     assert line.counts() == {Outcome.DETECTED: 2, Outcome.STALE: 2}
 
 
+def test_the_camera_that_was_served_longest_ago_is_next_whoever_offers_first_or_most_often() -> None:
+    inference, order = InferenceThreads(), list[int]()
+    cameras = {number: ScriptedCamera(inference) for number in (1, 2, 3, 4)}
+    for camera in cameras.values():
+        camera.published = order
+        camera.start()
+    for held, arrivals in ((1, (1, 2, 3, 4)), (3, (3, 1, 4, 2))):
+        cameras[held].hold(held)
+        for number in arrivals:
+            cameras[number].offer(number)
+        cameras[held].open()
+        for number in (held, *arrivals):
+            cameras[number].wait()
+    assert order == [1, 2, 3, 4, 1, 3, 2, 4, 1, 3]
+    assert inference.close(PATIENCE_S)
+
+
 def test_a_frame_above_the_rate_of_its_camera_is_only_counted(line: Line) -> None:
     line.start(max_rate_hz=10.0)
     for number in (1, 2):
@@ -336,14 +353,3 @@ def test_close_waits_for_every_thread_and_counts_each_frame_once(cameras: Camera
     assert [camera.counts() for camera in in_progress] == [{outcome: 1} for outcome in outcomes]
     assert cameras.inference.rest(0.0) is not bool(hung)
     assert cameras.inference.hanging == hung
-
-
-def test_in_a_pause_all_frames_come_to_rest(cameras: Cameras) -> None:
-    cameras.begin_two()
-    with cameras.inference.paused():
-        cameras.all[3].offer(1)
-        cameras.open()
-        assert cameras.inference.rest(PATIENCE_S)
-        assert cameras.all[3].used == []
-    cameras.all[3].wait()
-    assert cameras.all[3].published == [1]

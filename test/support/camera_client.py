@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -102,6 +104,34 @@ class CameraClient:
         return self.served.counts(self.name)
 
 
+class Viewer:
+    """Receives images of the kind that the node publishes on a `topic` of `camera`."""
+
+    def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
+        self._camera = camera
+        self._client = camera.served.client
+        self.received: list[Any] = []
+        name = camera.topic(topic)
+        self._subscription = self._client.create_subscription(kind, name, self.received.append, 10)
+
+    def leave(self) -> None:
+        self._client.destroy_subscription(self._subscription)
+
+    def begin(self) -> None:
+        """Send images until one is answered, as the node may not have discovered the subscriber yet."""
+        before = len(self.received)
+
+        def have_come() -> bool:
+            self._camera.detect()
+            return len(self.received) > before
+
+        self._camera.served.wait_for(have_come, "images")
+
+    def of(self, header: Header) -> Any:
+        """The image with this header."""
+        return self._camera.served.received(self.received, header, "the image")
+
+
 class DepthClient(CameraClient):
     """A camera whose depth images show a wall at `wall_m` metres; receives detections in space."""
 
@@ -125,12 +155,11 @@ class DepthClient(CameraClient):
             lambda: all(each.get_subscription_count() == count for each in publishers), "the subscriptions"
         )
 
-    def send_depth(self, *, encoding: str = "16UC1", with_info: bool = True) -> None:
+    def send_depth(self, *, with_info: bool = True) -> None:
         """Send a depth image and its camera_info with the stamp of the next image."""
         height, width = self.size_hw
         info = camera_info_message(self.sent + 1, height=height, width=width)
         message = depth_message(self.depth_m, self.sent + 1)
-        message.encoding = encoding
         for sent in (info, message):
             sent.header.frame_id = f"{self.name}_depth"
         if with_info:

@@ -17,9 +17,6 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import ListParameters, SetParameters
-from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
@@ -100,14 +97,6 @@ class DetectorProcess:
             "level": ("OK", "WARN", "ERROR", "STALE")[ord(status.level)],
         }
 
-    def publish(self, image: Image) -> None:
-        """Send one image that is not lost: the node has resubscribed with the publisher's reliability."""
-        publisher = self._matched_publisher()
-        self.observer.wait_for(
-            lambda: is_matched_reliably(self.observer, publisher), "the node to subscribe reliably"
-        )
-        publisher.publish(image)
-
     def _matched_publisher(self) -> Any:
         if self._images is None:
             self._images = self.observer.create_publisher(Image, f"{NODE}/image_raw", 1)
@@ -154,16 +143,6 @@ def detector_process(*arguments: str) -> Iterator[DetectorProcess]:
         closing(Observer("client", domain=domain, check=process.check_running)) as observer,
     ):
         yield DetectorProcess(process, observer, domain)
-
-
-def is_matched_reliably(node: Node, publisher: Publisher) -> bool:
-    """Whether a reliable subscription is the only one of `publisher`, as `node` sees it.
-
-    The detector first subscribes as best effort, and images between its two subscriptions are lost.
-    """
-    subscriptions = node.get_subscriptions_info_by_topic(publisher.topic_name)
-    reliabilities = [subscription.qos_profile.reliability for subscription in subscriptions]
-    return reliabilities == [ReliabilityPolicy.RELIABLE] and bool(publisher.get_subscription_count() == 1)
 
 
 def environment(domain: int) -> dict[str, str]:

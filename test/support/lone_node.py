@@ -10,13 +10,13 @@ from rclpy.node import Node
 
 
 @contextmanager
-def lone_node(name: str) -> Iterator[Node]:
-    """The node `name`; at the end it and its context are gone."""
+def lone_node(name: str, *words: str) -> Iterator[Node]:
+    """The node `name` with these words on its command line; at the end it and its context are gone."""
     context = rclpy.Context()
     rclpy.init(context=context, args=[])
-    node = rclpy.create_node(name, context=context)
+    node = rclpy.create_node(name, context=context, cli_args=[*words])
     try:
         yield node
     finally:
         node.destroy_node()
-        rclpy.shutdown(context=context)
+        rclpy.try_shutdown(context=context)

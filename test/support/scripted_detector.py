@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from support.preparations import Preparations
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.command import main
-from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.settings import Settings
 
@@ -37,9 +36,7 @@ def prepare_slowly() -> PreparedModel:
     raise AssertionError("nobody waits that long")
 
 
-FINALIZED_S = 3600.0
-"""Longer than any test waits: only a signal ends a finalized process."""
-FAULTS = {"lose_device": lose_device, "hang": hang, "hang_at_most_never": hang}
+FAULTS = {"lose_device": lose_device, "hang": hang}
 PREPARATIONS = Preparations()
 
 
@@ -54,9 +51,4 @@ def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Prepared
 
 
 if __name__ == "__main__":
-    main(
-        ["detector", *sys.argv[2:]],
-        prepare=prepare,
-        finalized_s=FINALIZED_S,
-        max_abandoned_sessions=0 if sys.argv[1] == "hang_at_most_never" else MAX_ABANDONED_SESSIONS,
-    )
+    main(["detector", *sys.argv[2:]], prepare=prepare)

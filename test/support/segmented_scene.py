@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from support.camera_client import CameraClient
+from support.camera_client import CameraClient, Viewer
 from support.preparations import Preparations
 
 SIZE_HW = (96, 128)
@@ -56,32 +55,11 @@ class SegmentingModel:
         return prototypes
 
 
-class MasksSubscriber:
+class MasksSubscriber(Viewer):
     """Receives the masks of `camera`, which shows the scene."""
 
     def __init__(self, camera: CameraClient) -> None:
-        self._camera = camera
-        self.received: list[Image] = []
-        self._subscription = camera.served.client.create_subscription(
-            Image, camera.topic("masks"), self.received.append, 10
-        )
-
-    def leave(self) -> None:
-        self._camera.served.client.destroy_subscription(self._subscription)
-
-    def begin(self) -> None:
-        """Send images until one has masks, as the node may not have discovered the subscriber yet."""
-        before = len(self.received)
-
-        def have_come() -> bool:
-            self._camera.detect()
-            return len(self.received) > before
-
-        self._camera.served.wait_for(have_come, "masks")
-
-    def of(self, header: Header) -> Image:
-        """The masks with this header."""
-        return self._camera.served.received(self.received, header, "the masks")
+        super().__init__(camera, "masks")
 
     def segment(self) -> tuple[Detection2DArray, Image]:
         """The detections and masks of the next image."""

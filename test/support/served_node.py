@@ -39,7 +39,6 @@ from yolov5_lifecycle.ros.parameters.settings_parameters import Validate
 from yolov5_lifecycle.settings.settings import validated
 
 PATIENCE_S = 60.0
-STATES = ("unconfigured", "inactive", "active")
 
 
 _SERVICES = {

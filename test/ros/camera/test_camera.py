@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 from collections.abc import Iterator
 from contextlib import closing
@@ -16,7 +15,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from support.camera_info_file import camera_info_url
 from support.camera_process import END_S, camera_process
-from support.colcon_workspace import REPOSITORY
 from support.detector_process import as_arguments
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.lone_node import lone_node
@@ -251,9 +249,3 @@ def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain
     assert (info.width, info.height, info.header.frame_id) == (32, 24, "lens")
     assert (info.distortion_model, list(info.d)) == ("plumb_bob", [-0.3615, 0.1661, 4.8e-05, 1e-05, 0])
     assert (info.k[4], info.r[8], info.p[10]) == (437.34, 1, 1)
-
-
-def test_camera_and_detector_of_the_readme_name_the_same_topic_for_a_video() -> None:
-    text = (REPOSITORY / "README.md").read_text().partition("source:=video.mp4 ")[2].partition("```")[0]
-    camera, detector = re.findall(r"image_raw:=(\S+)", text)
-    assert camera == detector

@@ -100,12 +100,6 @@ def test_the_demo_says_why_it_cannot_run(
     assert capsys.readouterr().out.startswith("demo failed: ")
 
 
-def test_two_demonstrations_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["--console", "--cameras"])
-    assert "not allowed with argument" in capsys.readouterr().err
-
-
 @pytest.mark.long
 def test_the_end_of_the_demo_ends_what_it_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -187,8 +181,6 @@ def test_the_image_shows_both_images_below_their_names(
     assert both.shape == (88, 58, 3)
     assert (both[28:, :30] == high).all()
     assert (both[28:68, 38:] == low).all()
-    assert (both[28:, 30:38] == 255).all()
-    assert (both[68:, 38:] == 255).all()
     assert (both[:28, :30] < 255).any()
     with pytest.raises(OSError, match="cannot be written"):
         saved(both, "both.png")

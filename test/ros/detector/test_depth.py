@@ -27,26 +27,15 @@ from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY
 
 SCENE = random_depth_scene(np.random.default_rng(5), "board")
 PIXELS = np.ones((24, 32), np.float32)
-UINT32_MAX = 2**32 - 1
 LONG_NAME = header(1.0)
 LONG_NAME.frame_id = "x" * 100_000
-HOSTILE_DEPTHS: dict[str, dict[str, Any]] = {
+LONG = "frame_id of at most 256 characters, found 100000"
+WRONG_DEPTHS: dict[str, dict[str, Any]] = {
     "found encoding 'rgb8'": {"encoding": "rgb8"},
-    "found encoding '16UC1; compressedDepth'": {"encoding": "16UC1; compressedDepth"},
-    "need a step >= 64, found 0": {"step": 0},
-    "need 98784247849 bytes": {"step": UINT32_MAX},
-    "found 0": {"height": 0},
-    "found 4294967295": {"height": UINT32_MAX, "width": UINT32_MAX},
-    "found 1535": {"data": depth_message(PIXELS, 1.0).data[:-1]},
-    "frame_id of at most 256 characters, found 100000": {"header": LONG_NAME},
+    LONG: {"header": LONG_NAME},
 }
 """Changes of a depth image by a part of the reason for which it is rejected."""
-HOSTILE_CAMERA_INFOS: dict[str, dict[str, Any]] = {
-    **{f"found fx {fx:g}": {"k": [fx] * 9} for fx in (0.0, float("nan"), float("inf"), 1e-300, -1.0)},
-    "frame_id of at most 256 characters, found 100000": {"header": LONG_NAME},
-    "found 240 x 0": {"width": 0},
-    "found 240 x 4294967295": {"width": UINT32_MAX},
-}
+WRONG_CAMERA_INFOS: dict[str, dict[str, Any]] = {"found fx 0": {"k": [0.0] * 9}, LONG: {"header": LONG_NAME}}
 
 
 @pytest.fixture
@@ -83,21 +72,21 @@ def test_a_detection_is_placed_in_the_frame_of_the_depth_image(depth: DepthInput
     assert counted(depth) == {"depth images received": 1, "images with depth": 1, "detections placed": 1}
 
 
-def test_hostile_messages_are_rejected_with_the_reason_and_those_before_them_stay(depth: DepthInput) -> None:
+def test_wrong_messages_are_rejected_with_the_reason_and_those_before_them_stay(depth: DepthInput) -> None:
     fill(depth)
-    for why, changes in HOSTILE_DEPTHS.items():
+    for why, changes in WRONG_DEPTHS.items():
         message = depth_message(PIXELS, 1.0)
         for name, value in changes.items():
             setattr(message, name, value)
         depth.take_image(message)
         assert why in depth.rejection
-    for why, changes in HOSTILE_CAMERA_INFOS.items():
+    for why, changes in WRONG_CAMERA_INFOS.items():
         depth.take_camera_info(camera_info_message(1.0, **changes))
         assert why in depth.rejection
     assert counted(depth) == {
-        "depth images received": len(HOSTILE_DEPTHS) + 1,
-        "depth images rejected": len(HOSTILE_DEPTHS),
-        "camera_infos rejected": len(HOSTILE_CAMERA_INFOS),
+        "depth images received": len(WRONG_DEPTHS) + 1,
+        "depth images rejected": len(WRONG_DEPTHS),
+        "camera_infos rejected": len(WRONG_CAMERA_INFOS),
     }
     assert placed(depth) is not None
 
@@ -232,26 +221,6 @@ def test_an_image_without_camera_info_is_detected_and_counted_with_the_reason(cl
     client.served.wait_for(is_counted, "the count")
     assert client.served.values()["detections placed"] == "0"
     assert client.placed == [], "an empty array would say that there is no object"
-
-
-def test_depth_is_switched_on_and_off_while_the_node_detects(served: ServedNode) -> None:
-    client = DepthClient(served)
-    served.bring_to("active")
-    told = "~/detections_3d has a subscriber, but nothing is published on it: set depth to true"
-
-    def is_told() -> bool:
-        client.detect()
-        return bool(served.status().message == told)
-
-    served.wait_for(is_told, "the remark")
-    assert "depth topic" not in served.values()
-    assert served.set(depth=True) == (True, "")
-    assert len(client.place().detections) == 1
-    assert served.set(depth=False) == (True, "")
-    client.wait_for_depth(0)
-    last_sec = client.sent  # what was detected before may still arrive
-    served.wait_for(is_told, "the remark")
-    assert [array for array in client.placed if array.header.stamp.sec > last_sec] == []
 
 
 def test_a_lazy_node_needs_depth_only_for_those_who_show_it(client: DepthClient) -> None:

@@ -71,7 +71,7 @@ def test_without_subscribers_a_lazy_node_does_not_subscribe(served: ServedNode) 
     served.ignore_detections()
     served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
     status = served.status()
-    assert "no subscribers" in status.message
+    assert status.message.endswith("no subscribers to ~/detections or ~/image, so no images are received")
     values = {item.key: item.value for item in status.values}
     assert (values["state"], values["runtime"], values["sha256"]) == ("active", "scripted", "0" * 64)
     assert served.set(lazy=False) == (True, "")

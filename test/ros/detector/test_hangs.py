@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rclpy.lifecycle import LifecyclePublisher
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage, Image
-from support.camera_client import CameraClient, DepthClient
+from support.camera_client import CameraClient, DepthClient, Viewer
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import scene_image
 from support.preparations import Preparations, prediction
@@ -29,6 +29,7 @@ from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.detector.depth import DepthInput
+from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
@@ -105,10 +106,8 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
     SegmentingModel(prepare)
     parameters = ["image_size:=128", "depth:=true", "tracker:=bytetrack"]
     with ServedNode(prepare, parameters=parameters, rest_timeout_s=REST_S) as served:
-        camera, seen = DepthClient(served, size_hw=SIZE_HW), dict[str, object]()
-        for kind, topic in ((Image, "image"), (CompressedImage, "image/compressed")):
-            take = lambda message, topic=topic: seen.update({topic: message})  # noqa: E731
-            served.client.create_subscription(kind, camera.topic(topic), take, QoSProfile(depth=1))
+        camera = DepthClient(served, size_hw=SIZE_HW)
+        raw, compressed = Viewer(camera), Viewer(camera, "image/compressed", CompressedImage)
         MasksSubscriber(camera)
         served.bring_to("active")
 
@@ -120,7 +119,7 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
 
             served.wait_for(is_met, what)
 
-        send_until(lambda: len(seen) == 2, "annotated images")
+        send_until(lambda: bool(raw.received and compressed.received), "annotated images")
         hang.begin()
         send_until(hang.entered.is_set, "the step to hang")
         deactivated = served.begin_transition("deactivate")
@@ -198,53 +197,39 @@ class Lanes:
         return run
 
 
-@pytest.fixture
-def lanes(prepare: Preparations) -> Iterator[Lanes]:
+@contextmanager
+def two_lanes(prepare: Preparations, rest_timeout_s: float = REST_TIMEOUT_S) -> Iterator[Lanes]:
     prepare.lanes = 2
     parameters = [f"cameras:=[{', '.join(NAMES)}]"]
-    with ServedNode(prepare, parameters=parameters, rest_timeout_s=0.1) as served:
+    with ServedNode(prepare, parameters=parameters, rest_timeout_s=rest_timeout_s) as served:
         lanes = Lanes(served, prepare)
         served.bring_to("active")
-        for camera in lanes.cameras:
-            camera.detect()
         yield lanes
         lanes.release()
     assert served.escaped == []
 
 
-def test_a_frame_that_hangs_in_a_lane_does_not_stop_the_other_cameras(lanes: Lanes) -> None:
-    _, other = lanes.hold()
-    other.set()
-    before = [len(camera.detections) for camera in lanes.cameras]
-
-    def others_go_on() -> bool:
-        for camera in lanes.cameras:
-            camera.send()
-        new = [len(camera.detections) - count for camera, count in zip(lanes.cameras, before, strict=True)]
-        return sorted(new)[1] >= 3
-
-    lanes.served.wait_for(others_go_on, "three detections of each camera but the one that hangs")
-
-
-def test_a_session_is_abandoned_as_a_whole_however_many_of_its_frames_hang(lanes: Lanes) -> None:
-    served, sessions = lanes.served, MAX_ABANDONED_SESSIONS - 1
-    for session in range(1, sessions + 1):
+def test_a_session_is_abandoned_as_a_whole_and_too_many_of_them_end_the_node(prepare: Preparations) -> None:
+    with two_lanes(prepare, rest_timeout_s=0.1) as lanes:
+        served = lanes.served
+        for session in range(1, MAX_ABANDONED_SESSIONS + 1):
+            lanes.hold()
+            assert served.transition("deactivate")
+            assert served.values()["abandoned threads"] == str(2 * session)
+            assert served.node.exit_code is None
+            assert served.transition("activate")
+            assert [class_ids_of(camera.detect()) for camera in lanes.cameras] == [["cat"]] * len(NAMES)
         lanes.hold()
         assert served.transition("deactivate")
-        assert served.values()["abandoned threads"] == str(2 * session)
-        assert served.transition("activate")
-    assert 2 * sessions > MAX_ABANDONED_SESSIONS
-    assert served.node.exit_code is None
-    assert [class_ids_of(camera.detect()) for camera in lanes.cameras] == [["cat"]] * len(NAMES)
+        assert served.node.exit_code == EXIT_ABANDONED_SESSIONS
+        served.wait_for_log("exiting (code 4): inference hangs in 4 abandoned sessions, the limit is 3")
 
 
 def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_model_found(
     prepare: Preparations,
 ) -> None:
-    prepare.lanes = 2
-    with ServedNode(prepare, parameters=[f"cameras:=[{', '.join(NAMES)}]"]) as served:
-        lanes = Lanes(served, prepare)
-        served.bring_to("active")
+    with two_lanes(prepare) as lanes:
+        served = lanes.served
         one, other = lanes.hold()
         prepared = len(prepare.sizes_hw)
         prepare.run = lambda: prediction("dog", 0.9)
@@ -261,7 +246,6 @@ def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_mode
             published = [class_ids_of(message) for message in camera.detections]
             assert published == sorted(published), "a cat after a dog"
             assert published[-1] == ["dog"]
-    assert served.escaped == []
 
 
 # A thread that hangs keeps its network; the next session has another one, in every engine

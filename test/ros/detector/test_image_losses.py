@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
-from support.detector_process import as_arguments, environment, is_matched_reliably
+from support.detector_process import as_arguments, environment
+from support.lone_node import lone_node
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.detector.camera_topic import colour_topic
@@ -159,11 +160,8 @@ class Receiver:
         self.received: list[ReceivedFrame] = []
         self.topic = colour_topic(self.node, "raw")
         self.input = ImageInput(self.received.append)
+        self.losses = self.input.losses
         self.input.follow(self.topic, "auto")
-
-    @property
-    def losses(self) -> ImageLosses:
-        return self.input.losses
 
     def close(self) -> None:
         self.input.follow(None, "auto")
@@ -175,19 +173,16 @@ class Receiver:
         matched = self.topic.look().publishers
         publisher = self.sender.create_publisher(Image, TOPIC, QoSProfile(depth=1, durability=durability))
         self.node.wait_for(lambda: self.topic.look().publishers == matched + 1, "the publisher")
-        self.look()
-        self.node.wait_for(lambda: is_matched_reliably(self.sender, publisher), "the reliable subscription")
-        return publisher
-
-    def subscribe_again(self, publisher: Publisher, missed: int) -> None:
-        """As a change of `image_reliability` does, while `missed` images are sent."""
-        for _ in range(missed):
-            publisher.publish(Image())
-        self.input.follow(self.topic, "reliable")
-        self.node.wait_for(lambda: publisher.get_subscription_count() == 1, "the new subscription")
-
-    def look(self) -> None:
         self.input.update()
+
+        def is_matched() -> bool:
+            """It first subscribes as best effort, and images between its two subscriptions are lost."""
+            infos = self.sender.get_subscriptions_info_by_topic(TOPIC)
+            reliabilities = [info.qos_profile.reliability.name for info in infos]
+            return reliabilities == ["RELIABLE"] and publisher.get_subscription_count() == 1
+
+        self.node.wait_for(is_matched, "the reliable subscription")
+        return publisher
 
     def send(self, publisher: Publisher, count: int = 1) -> None:
         """Publish so many at once; only the last can be taken, since one is kept."""
@@ -209,7 +204,7 @@ def test_images_that_replace_each_other_while_the_node_is_busy_are_dropped_in_qu
     camera = receiver.publisher()
     for count in (1, 3, 1, 5):
         receiver.send(camera, count)
-    receiver.look()
+    receiver.input.update()
     assert len(receiver.received) + receiver.losses.dropped_in_queue == 10
     assert receiver.losses.lost == 0
 
@@ -242,11 +237,11 @@ def test_a_second_camera_that_joins_and_leaves_adds_nothing(receiver: Receiver) 
     for _ in range(3):
         receiver.send(second, 50)
         receiver.send(first)
-        receiver.look()
+        receiver.input.update()
     receiver.sender.destroy_publisher(second)
     for _ in range(100):  # until the node has seen that one is left
         receiver.send(first, 3)
-        receiver.look()
+        receiver.input.update()
         if receiver.losses.dropped_in_queue:
             break
     assert (receiver.losses.lost, receiver.losses.dropped_in_queue) == (0, 2)
@@ -257,22 +252,23 @@ def test_images_sent_while_the_node_subscribes_again_are_counted_and_no_old_one_
 ) -> None:
     camera = receiver.publisher(DurabilityPolicy.TRANSIENT_LOCAL)
     receiver.send(camera)
-    receiver.subscribe_again(camera, missed=4)
+    for _ in range(4):
+        camera.publish(Image())
+    receiver.input.follow(receiver.topic, "reliable")  # as a change of `image_reliability` does
+    receiver.node.wait_for(lambda: camera.get_subscription_count() == 1, "the new subscription")
     receiver.send(camera)
-    receiver.look()
+    receiver.input.update()
     assert (len(receiver.received), receiver.losses.lost, receiver.losses.dropped_in_queue) == (2, 0, 4)
     (subscription,) = receiver.node.get_subscriptions_info_by_topic(TOPIC)
     assert subscription.qos_profile.durability is DurabilityPolicy.VOLATILE
 
 
 def test_an_override_of_the_depth_does_not_make_the_node_subscribe_again(ros_domain: int) -> None:
-    words = ["--ros-args", "-p", f"qos_overrides.{TOPIC}.subscription.depth:=5"]
-    with closing(Observer("context", domain=ros_domain)) as observer:
-        node = rclpy.create_node("receiver", context=observer.context, cli_args=words)
+    words = ("--ros-args", "-p", f"qos_overrides.{TOPIC}.subscription.depth:=5")
+    with lone_node("receiver", *words) as node:
         subscription = Subscription(colour_topic(node, "raw"), lambda _: None, depth=1)
         subscription.follow()
         (first,) = node.subscriptions
         subscription.follow()
         assert [*node.subscriptions] == [first]
         subscription.close()
-        node.destroy_node()

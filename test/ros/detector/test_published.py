@@ -6,18 +6,15 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
-from support.camera_client import CameraClient, DepthClient
+from support.camera_client import CameraClient, DepthClient, Viewer
 from support.preparations import CLASS_NAMES, Preparations, prediction
 from support.random_model import random_frame
-from support.runtime_names import EVERY_RUNTIME
 from support.segmented_scene import (
     CAT_XYXY,
     DOG_XYXY,
@@ -43,29 +40,6 @@ from yolov5_lifecycle.ros.messages import image_message, image_of_message
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 
 # Annotated images
-
-
-class Viewer:
-    """Receives the annotated images of `camera`."""
-
-    def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
-        self._camera = camera
-        self.received: list[Any] = []
-        newest = QoSProfile(depth=10)
-        camera.served.client.create_subscription(kind, camera.topic(topic), self.received.append, newest)
-
-    def begin(self) -> None:
-        """Send images until one is drawn, as the node may not have discovered the subscriber yet."""
-        self._camera.served.wait_for(lambda: bool(self._camera.detect()) and bool(self.received), "an image")
-
-    def of(self, header: Header) -> Any:
-        """The annotated image with this header."""
-
-        def drawn() -> list[Any]:
-            return [message for message in self.received if message.header == header]
-
-        self._camera.served.wait_for(lambda: bool(drawn()), "the annotated image")
-        return drawn()[0]
 
 
 @pytest.mark.parametrize("order", ["rgb", "bgr"])
@@ -310,24 +284,29 @@ def test_a_subscriber_to_masks_alone_does_not_keep_a_model_detecting_that_does_n
     served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
 
 
-SETTINGS = {"device": "cpu", "image_size": 96, "confidence_threshold": 0.3, "max_detections": 12}
+SETTINGS = {
+    "device": "cpu",
+    "runtime": "torch",
+    "image_size": 96,
+    "confidence_threshold": 0.3,
+    "max_detections": 12,
+}
 
 
 @pytest.mark.end_to_end
 @pytest.mark.usefixtures("ros_domain")
-@pytest.mark.parametrize("runtime", EVERY_RUNTIME)
-def test_the_masks_of_a_checkpoint_are_published(runtime: str, tmp_path: Path) -> None:
-    """As YOLOv5 writes a segmentation checkpoint, with each real engine."""
+def test_the_masks_of_a_checkpoint_are_published(tmp_path: Path) -> None:
+    """As YOLOv5 writes a segmentation checkpoint, with a real engine."""
     weights = tmp_path / "small-seg.pt"
     weights.write_bytes(segmentation_checkpoint())
     shown = random_frame(75, 100)
-    detector = load_model(weights, runtime=runtime, **SETTINGS)  # type: ignore[arg-type]  # of any keyword
+    detector = load_model(weights, **SETTINGS)  # type: ignore[arg-type]  # of any keyword
     detector.selection = replace(detector.selection, with_masks=True)
     found = detector(shown)
     expected = found.label_image()
     assert expected is not None
     assert len(np.unique(expected)) > 5, "a model of random weights shows something everywhere"
-    values = SETTINGS | {"weights": weights, "runtime": runtime}
+    values = SETTINGS | {"weights": weights}
     with ServedNode(prepare_model, parameters=[f"{k}:={value}" for k, value in values.items()]) as served:
         served.bring_to("active")
         camera = CameraClient(served)

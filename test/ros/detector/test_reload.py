@@ -79,33 +79,6 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
     assert sum(not runtime.is_closed for runtime in prepare.runtimes) == 1
 
 
-def test_concurrent_reloads_are_both_applied(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    changes = [served.begin_set(image_size=320), served.begin_set(weights="/other.pt")]
-    for change in changes:
-        served.wait_for(change.done, "both reloads")
-        assert change.result().result.successful
-    assert (served.get("image_size"), served.get("weights")) == (320, "/other.pt")
-    assert [runtime.is_closed for runtime in prepare.runtimes[:-1]] == [True] * (len(prepare.runtimes) - 1)
-    assert not prepare.running.is_closed
-
-
-@pytest.mark.parametrize("label", ["deactivate", "shutdown"])
-def test_leaving_active_wins_over_a_reload(served: ServedNode, prepare: Preparations, label: str) -> None:
-    served.bring_to("active")
-    prepare.gate.clear()
-    change = served.begin_set(image_size=320)
-    prepare.begun.acquire(timeout=PATIENCE_S)
-    assert prepare.begun.acquire(timeout=PATIENCE_S)
-    assert served.transition(label)
-    prepare.gate.set()
-    served.wait_for(change.done, "the reload")
-    assert not change.result().result.successful
-    assert "left the active state" in change.result().result.reason
-    assert served.get("image_size") == 640
-    assert all(runtime.is_closed for runtime in prepare.runtimes)
-
-
 # Weights files
 
 

@@ -115,19 +115,6 @@ def finish_loading(served: ServedNode, prepare: Preparations, *answers: Any) -> 
     return [answer.result().success for answer in answers]
 
 
-def test_activate_that_cannot_load_says_why_and_stays_inactive(
-    served: ServedNode, prepare: Preparations
-) -> None:
-    prepare.refusal = NO_FILE
-    served.bring_to("inactive")
-    assert not served.transition("activate")
-    assert served.state() == "inactive"
-    assert "/no/such.pt" in served.status().message
-    prepare.refusal = ""
-    assert served.transition("activate")
-    assert "/no/such.pt" not in served.status().message
-
-
 def test_services_answer_while_the_model_loads_and_a_second_activate_is_refused(
     served: ServedNode, prepare: Preparations
 ) -> None:

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import settings as limits
-from hypothesis import strategies as st
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, GetParameterTypes, ListParameters
-from rclpy.parameter import Parameter
 from support.preparations import Preparations
 from support.served_node import ServedNode, class_ids_of, messages_of
 
 from yolov5_lifecycle.ros.detector.session import Session
-from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_REASON
-from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.settings.settings import SETTINGS, SETTINGS_BY_NAME, Settings, validated
+from yolov5_lifecycle.settings.settings import Settings, validated
 
 
 def unknown(count: int) -> list[ParameterMessage]:
@@ -78,48 +71,6 @@ def test_a_request_about_too_many_names_is_answered_with_nothing(served: ServedN
     served.wait_for_log(f"80000 items in one request; at most {MAX_ITEMS} are accepted")
 
 
-def test_every_parameter_may_be_read_in_one_request(served: ServedNode) -> None:
-    names = list(served.call("list_parameters", ListParameters.Request()).result.names)
-    assert set(names) > SETTINGS_BY_NAME.keys()
-    assert 2 * len(names) < MAX_ITEMS
-    for field, service, request in (
-        ("values", "get_parameters", GetParameters.Request(names=names)),
-        ("types", "get_parameter_types", GetParameterTypes.Request(names=names)),
-        ("descriptors", "describe_parameters", DescribeParameters.Request(names=names)),
-    ):
-        assert len(getattr(served.call(service, request), field)) == len(names)
-
-
-INTEGERS = st.integers(-(2**63), 2**63 - 1)
-TEXTS = st.text(max_size=8) | st.sampled_from(sorted({word for s in SETTINGS for word in s.choices}))
-SCALARS = (st.booleans(), INTEGERS, st.floats(), TEXTS)
-VALUES = st.one_of(st.none(), *SCALARS, *(st.lists(scalar, max_size=3) for scalar in SCALARS))
-NAMES = st.sampled_from([setting.name for setting in SETTINGS])
-
-
-def outcome(values: dict[str, object]) -> Settings | SettingsError:
-    try:
-        return validated(values)
-    except SettingsError as error:
-        return error
-
-
-@limits(max_examples=60)
-@given(NAMES, VALUES)
-def test_any_parameter_becomes_a_setting_or_is_refused(name: str, value: object) -> None:
-    if isinstance(value, list) and not value:
-        parameter = Parameter(name, Parameter.Type.STRING_ARRAY, value)
-    else:
-        parameter = Parameter(name, value=value)
-    settings = outcome({name: value_of(parameter, SETTINGS_BY_NAME[name])})
-    if isinstance(settings, SettingsError):
-        assert {problem.setting for problem in settings.problems} <= {name, "precision", "image_size"}
-        assert all(len(problem.message) < 500 for problem in settings.problems)
-        return
-    assert validated(settings.model_dump()) == settings
-    assert not isinstance(value, float) or math.isfinite(value)
-
-
 def test_a_change_that_cannot_take_effect_leaves_nothing_behind(
     served: ServedNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,10 +101,11 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
     served.bring_to("active")
     prepare.gate.clear()
     prepared = len(prepare.sizes_hw)
-    sizes = [320 + 32 * step for step in range(8)]
+    asked: list[dict[str, object]] = [{"image_size": 320 + 32 * step} for step in range(7)]
+    asked.append({"weights": "/other.pt"})
     changes = []
-    for count, size in enumerate(sizes):
-        changes.append(served.begin_set(image_size=size))
+    for count, values in enumerate(asked):
+        changes.append(served.begin_set(**values))
         if count == 0:
             served.wait_for(lambda: len(prepare.sizes_hw) == prepared + 1, "the first to begin")
         if count > 1:
@@ -164,20 +116,31 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
     assert [result.successful for result in results] == [True, *[False] * 6, True]
     assert all("superseded by a later request" in result.reason for result in results[1:-1])
     assert len(prepare.sizes_hw) == prepared + 2
-    assert served.get("image_size") == sizes[-1]
+    assert (served.get("image_size"), served.get("weights")) == (320, "/other.pt")
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [True, True, False]
 
 
-def test_after_a_queue_of_reloads_was_dropped_the_next_one_is_carried_out(
-    served: ServedNode, prepare: Preparations
+@pytest.mark.parametrize("label", ["deactivate", "shutdown"])
+def test_leaving_active_wins_over_reloads_and_the_next_one_is_carried_out(
+    served: ServedNode, prepare: Preparations, label: str
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
+    prepared = len(prepare.sizes_hw)
     changes = [served.begin_set(image_size=size) for size in (320, 352)]
-    assert served.transition("deactivate")
+    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the first to begin")
+    assert served.set(lazy=False) == (True, ""), "after the second, which waits"
+    assert served.transition(label)
     prepare.gate.set()
     served.wait_for(lambda: all(change.done() for change in changes), "both answers")
-    assert served.transition("activate")
-    assert served.set(image_size=384) == (True, "")
+    for result in (change.result().result for change in changes):
+        assert not result.successful
+        assert "left the active state" in result.reason
+    assert served.get("image_size") == 640
+    assert all(runtime.is_closed for runtime in prepare.runtimes)
+    if label == "deactivate":
+        assert served.transition("activate")
+        assert served.set(image_size=384) == (True, "")
 
 
 def test_a_loaded_file_with_new_classes_and_new_weights_says_how_to_set_both(
