@@ -43,7 +43,6 @@ from yolov5_lifecycle.offline.detecting import OfflineDetector, prepared_for
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recording import TYPES
 from yolov5_lifecycle.offline.terminal import report
-from yolov5_lifecycle.ros.detector.session import label_info
 from yolov5_lifecycle.ros.messages import image_of_message
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -111,7 +110,9 @@ def test_a_recording_gets_what_the_node_would_have_published(
     expected = [message for image in images for message in published(image)]
     assert [message for _, _, message in written[1:]] == expected
     assert [message.header.stamp.sec for message in expected[::2]] == [stamp_s(n) for n in range(COUNT)]
-    assert written[0][2] == label_info(CLASS_NAMES, 0.25, images[0].header.stamp)
+    labels = written[0][2]
+    assert {entry.class_id: entry.class_name for entry in labels.class_map} == dict(enumerate(CLASS_NAMES))
+    assert (labels.header.stamp, labels.threshold) == (images[0].header.stamp, 0.25)
 
 
 def test_one_file_of_a_recording_is_enough_and_the_node_has_the_name_that_is_given(

@@ -96,6 +96,12 @@ def test_an_option_that_is_no_parameter_is_answered_with_its_replacement() -> No
 @pytest.mark.parametrize(
     ("values", "problem"),
     [
+        pytest.param({"device": "cpu", "precision": "fp16"}, "fp16.*device is 'cpu'", id="half-on-cpu"),
+        pytest.param({"device": "cuda", "precision": "int8"}, "int8.*device is 'cuda'", id="int8-on-gpu"),
+        pytest.param(
+            {"runtime": "torch", "precision": "int8"}, "int8.*runtime is 'torch'", id="int8-in-torch"
+        ),
+        pytest.param({"model_size": "n6", "image_size": 672}, "multiple of 64.*640 or 704", id="p6-stride"),
         pytest.param(
             {"track_low_threshold": 0.3}, "track_low_threshold: 0.3 is above track_high.*0.25", id="low-track"
         ),

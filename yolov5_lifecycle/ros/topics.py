@@ -6,6 +6,7 @@ An override is a parameter such as `qos_overrides.TOPIC.publisher.POLICY`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Literal
 
 from rclpy.node import Node
@@ -127,18 +128,17 @@ def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = Fa
 def reliability_problems(node: Node, settings: Settings) -> list[Problem]:
     """A QoS override and `image_reliability` must not both set a camera's reliability."""
     overrides = [name for name in parameter_overrides(node) if name.startswith(QOS_PREFIX)]
-    if not overrides or topic_problems(node, settings.camera_names):  # which `configure` refuses
-        return []
     problems = []
-    for camera in settings.camera_names:
+    for camera in settings.camera_names if overrides else ():
         reliability = settings.for_camera(camera).image_reliability
         topics = [of_camera(topic, camera) for topic in COLOUR_IMAGES]
-        names = [_name(node, topic, "subscription", "reliability") for topic in topics]
-        if reliability != "auto" and (given := [name for name in names if name in overrides]):
-            reason = f"{reliability!r} and {given[0]} both set the reliability of the subscription."
-            is_inherited = reliability == settings.image_reliability
-            name = "image_reliability" if is_inherited else f"{camera}.image_reliability"
-            problems.append(Problem(name, f"{reason} Use 'auto', or start without the override."))
+        with suppress(RuntimeError):  # of a name that ROS refuses, which `configure` refuses, too
+            names = [_name(node, topic, "subscription", "reliability") for topic in topics]
+            if reliability != "auto" and (given := [name for name in names if name in overrides]):
+                reason = f"{reliability!r} and {given[0]} both set the reliability of the subscription."
+                is_inherited = reliability == settings.image_reliability
+                name = "image_reliability" if is_inherited else f"{camera}.image_reliability"
+                problems.append(Problem(name, f"{reason} Use 'auto', or start without the override."))
     return problems
 
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator,
 from pydantic_core.core_schema import ValidationInfo
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.models.architecture import Size
+from yolov5_lifecycle.models.architecture import SIZES, Size, image_size_problem
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS, OverridableSchema, overrides_of
 from yolov5_lifecycle.settings.schema import Change, Entries, Problem, Scope, contradiction
@@ -309,7 +309,13 @@ validated = SCHEMA.validated
 
 
 def _contradictions(settings: Settings) -> Iterator[Problem]:
-    """Violated rules that involve several settings, or the machine; not what loading the model refuses."""
+    """Violated rules that involve several settings, or the machine."""
+    if rule := _precision_rule(settings.precision, settings.device, settings.runtime):
+        yield Problem("precision", rule)
+    stride = max(SIZES[settings.model_size].strides)
+    if settings.image_size % stride and not settings.weights:
+        whose = f"model_size '{settings.model_size}'"
+        yield Problem("image_size", image_size_problem(settings.image_size, stride, whose=whose))
     low, high = settings.track_low_threshold, settings.track_high_threshold
     if low > high:
         yield _not_above("track_low_threshold", low, "track_high_threshold", high)
@@ -325,3 +331,22 @@ def _contradictions(settings: Settings) -> Iterator[Problem]:
 
 def _not_above(name: str, value: float, bound: str, most: float) -> Problem:
     return Problem(name, f"{value:g} is above {bound}, {most:g}. Lower it, or raise the other.")
+
+
+def _precision_rule(precision: str, device: str, runtime: str) -> str:
+    """The rule that the three violate together, or ""."""
+    if precision == "fp16" and device == "cpu":
+        return "'fp16' needs a GPU, but device is 'cpu'. Use precision 'auto' or 'fp32'."
+    if precision not in ("int8", "bf16"):
+        return ""
+    if device not in ("auto", "cpu"):
+        return (
+            f"'{precision}' runs on the CPU only, but device is '{device}'. Use device 'cpu' or precision "
+            "'auto'."
+        )
+    if runtime not in ("auto", "openvino"):
+        return (
+            f"'{precision}' needs OpenVINO, but runtime is '{runtime}'. Use runtime 'auto', or precision "
+            "'fp32'."
+        )
+    return ""

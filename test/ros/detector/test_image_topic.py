@@ -46,10 +46,11 @@ from yolov5_lifecycle.ros.observer import Observer
         ),
     ],
 )
-def test_configure_refuses_topics_that_are_remapped_to_one(
+def test_configure_refuses_topics_that_are_remapped_to_one_and_tells_wrong_qos_overrides_too(
     prepare: Preparations, rules: list[str], told: str
 ) -> None:
-    arguments = ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
+    remapping = (word for rule in rules for word in ("-r", rule))
+    arguments = ["--ros-args", *remapping, "-p", "qos_overrides.x.y:=2"]
     cameras = ["cameras:=[left, right]"] if len(rules) > 1 else []
     with ServedNode(prepare, parameters=cameras, arguments=arguments) as served:
         assert not served.transition("configure")
@@ -57,6 +58,7 @@ def test_configure_refuses_topics_that_are_remapped_to_one(
         status = served.status()
         assert status.level == DiagnosticStatus.ERROR
         assert f"{told} are remapped to the same topic" in status.message
+        assert "qos_overrides.x.y: this node has no such topic or policy." in status.message
     assert served.escaped == []
 
 

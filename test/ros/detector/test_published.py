@@ -33,8 +33,7 @@ from yolov5_lifecycle import load_model
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.prepared_model import prepare_model
-from yolov5_lifecycle.images.compressed import encode_jpeg
-from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.messages import image_message, image_of_message
 from yolov5_lifecycle.runtimes.runtime import InferenceError
@@ -60,16 +59,16 @@ def test_an_image_is_drawn_in_both_forms_with_its_header_and_colours(served: Ser
     np.testing.assert_allclose(image_of_message(jpeg).pixels[40, 40].astype(int), in_bgr, atol=5)
 
 
-def test_only_images_with_subscribers_are_encoded(
+def test_only_images_with_subscribers_are_encoded_and_one_that_cannot_be_leaves_the_raw_one(
     served: ServedNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encoded: list[ColourImage] = []
 
-    def encode(image: ColourImage) -> NDArray[np.uint8]:
+    def refuse(image: ColourImage) -> NDArray[np.uint8]:
         encoded.append(image)
-        return encode_jpeg(image)
+        raise ImageError("no room")
 
-    monkeypatch.setattr(pipeline, "encode_jpeg", encode)
+    monkeypatch.setattr(pipeline, "encode_jpeg", refuse)
     served.bring_to("active")
     camera = CameraClient(served)
     raw = Viewer(camera)
@@ -77,7 +76,10 @@ def test_only_images_with_subscribers_are_encoded(
     raw.of(camera.see().header)
     assert not encoded
     Viewer(camera, "image/compressed", CompressedImage)
-    served.wait_for(lambda: bool(camera.detect()) and bool(encoded), "a compressed image")
+    served.wait_for(lambda: bool(camera.detect()) and bool(encoded), "an attempt")
+    served.wait_for_log("no image on ~/image/compressed: no room")
+    raw.of(camera.see().header)
+    assert served.counts()["failed"] == 0
 
 
 def test_a_subscriber_to_the_remapped_compressed_image_alone_keeps_a_lazy_node_detecting(

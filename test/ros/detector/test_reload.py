@@ -69,9 +69,9 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
-    reload = served.begin_set(image_size=320, track_high_threshold=0.15)
+    reload = served.begin_set(model_size="n6")  # needs multiples of 64
     assert prepare.begun.acquire(timeout=PATIENCE_S)
-    other = served.begin_set(track_low_threshold=0.2)
+    other = served.begin_set(image_size=672)
     prepare.gate.set()
     served.wait_for(lambda: reload.done() and other.done(), "both answers")
     answers = [reload.result().result, other.result().result]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
@@ -295,7 +296,7 @@ def test_the_most_pressing_reason_without_a_place_is_told(depth: DepthInput, mes
     assert with_camera(depth=depth).of_node.message == message
 
 
-def test_the_values_hold_every_count_and_the_configuration() -> None:
+def test_the_values_hold_every_count_and_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     counter = FrameCounter()
     for outcome in Outcome:
         counter.receive()
@@ -323,6 +324,31 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
     assert BLIND.of_node.values["best score in them"] == "0.61"
     assert BLIND.of_node.hint == "", "nothing to see is no trouble"
     assert "depth topic" not in with_camera(depth=depth_input()).of_node.values
+    computed: list[Settings] = []
+
+    def digest(settings: Settings) -> str:
+        computed.append(settings)
+        return "0" * 12
+
+    monkeypatch.setattr(Settings, "digest", digest)
+    for _ in range(3):
+        assert replace(GOOD, settings=Settings(max_rate=7.0)).of_node.values["configuration"] == "0" * 12
+    assert len(computed) == 1
+
+
+def test_the_statuses_of_the_node_and_of_its_cameras_tell_the_same_of_cameras_that_go_on() -> None:
+    asked = itertools.count(SILENCE_S + 1)
+
+    class Silent(SimpleNamespace):
+        @property
+        def silent_s(self) -> float:
+            return next(asked)
+
+    received = Silent(**{name: value for name, value in INPUT.items() if name != "silent_s"})
+    status = with_camera(name="front", input=received)
+    (of_front,) = status.of_cameras
+    assert status.of_node.hint == f"front: {of_front.hint}"
+    assert of_front.hint
 
 
 def test_a_reason_is_logged_once_a_minute_whatever_its_numbers(ros_domain: int) -> None:

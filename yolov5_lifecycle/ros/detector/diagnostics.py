@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
+from functools import cached_property, lru_cache
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -252,7 +253,7 @@ class Status:
             problem, hint, remark, values = self.problem or one.problem, one.hint, one.remark, one.values
         return Summary(NODE_STATUS, problem, self.namesakes or hint, remark, self._values(problem) | values)
 
-    @property
+    @cached_property  # a camera goes on meanwhile, and all of a message tells the same
     def of_cameras(self) -> list[Summary]:
         """Summary of each named camera."""
         return [self._summary(status) for status in self.cameras if status.camera.name]
@@ -271,7 +272,7 @@ class Status:
         if self.resident_mb is not None:
             values["resident memory MB"] = f"{self.resident_mb:.0f}"
         if self.settings is not None:
-            values["configuration"] = self.settings.digest()
+            values["configuration"] = _digest(self.settings)
         if self.collected is not None:
             values |= _collected(self.collected)
         return values | (self.model.facts if self.model is not None else {})
@@ -286,6 +287,11 @@ def _collected(status: CollectorStatus) -> dict[str, str]:
         "images in collect_dir": str(status.frames),
         "collect_dir MB": f"{status.megabytes:.1f}",
     }
+
+
+@lru_cache(maxsize=1)  # asked every second; with lists of 10,000 classes it takes long
+def _digest(settings: Settings) -> str:
+    return settings.digest()
 
 
 @dataclass(eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -216,10 +217,12 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         problems = topic_problems(self, cameras)
-        if problems or self._is_qos_checked:  # the overrides are fixed, but their camera may be gone since
+        if self._is_qos_checked:  # the overrides are fixed, but their camera may be gone since
             return problems
         are_undecided = any(problem.setting == CAMERAS for problem in self._settings.problems)
-        return [str(problem) for problem in qos_problems(self, cameras, are_undecided=are_undecided)]
+        with suppress(RuntimeError):  # of a name that ROS refuses, which is told already
+            problems += map(str, qos_problems(self, cameras, are_undecided=are_undecided))
+        return problems
 
     def _status(self) -> Status:
         self._resources.update()

@@ -24,7 +24,7 @@ from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.images.compressed import encode_jpeg
-from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
@@ -239,7 +239,16 @@ class Outputs:
                 self._image.publish, messages.image_message(image.pixels, f"{image.order}8", header)
             )
         if self._compressed_image.get_subscription_count():
-            message = messages.compressed_image_message(encode_jpeg(image), f"{image.order}8", header)
+            try:
+                jpeg = encode_jpeg(image)
+            except ImageError as error:
+                # The detections are published; only the compressed image is missing.
+                self.node.get_logger().warning(
+                    f"no image on {of_camera(COMPRESSED_IMAGE, self.camera)}: {error}",
+                    throttle_duration_sec=5.0,
+                )
+                return
+            message = messages.compressed_image_message(jpeg, f"{image.order}8", header)
             yield partial(self._compressed_image.publish, message)
 
     def close(self) -> None:
