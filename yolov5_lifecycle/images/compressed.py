@@ -164,8 +164,8 @@ def _decode_mosaic(file: FileStructure, encoding: str) -> ColourImage:
     if file.grey_bits != 8:
         found = "colours" if file.grey_bits is None else f"{file.grey_bits} bits"
         raise ImageError(
-            f"Expected a file of grey values of 8 bits for {encoding}, found {found}. {_REMEDY}, or have it "
-            "name after 'compressed' what the file holds, such as bgr8 or mono8."
+            f"Expected a file of grey values of 8 bits for {encoding}, found {found}. Subscribe to the raw "
+            "image, or have the publisher name after 'compressed' what the file holds, such as bgr8 or mono8."
         )
     values = _decoded(file.data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     height, width = values.shape
