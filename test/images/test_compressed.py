@@ -13,6 +13,7 @@ from support import jpeg_builder as jpeg
 from support.compressed_files import smooth_bgr, smooth_file
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file, encode_jpeg
+from yolov5_lifecycle.images.encodings import decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError, Order
 
 
@@ -58,8 +59,9 @@ FILES = {
     "tiff": file(".tiff", GREY),
     "nothing": b"",
 }
-NO_COLOURS = "Expected colours in a compressed image, found '{}'. Subscribe to the raw image, or have the"
-NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 image"
+NO_VALUES = "compressed image of '{}' is not supported. {} the publisher send colours or grey of 8 bits"
+RAW = "Subscribe to the raw image, or "
+NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 image instead.$"
 
 
 @pytest.mark.parametrize(
@@ -77,7 +79,6 @@ NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 
         ("8UC3; png compressed ", "colour png", "bgr"),
         ("mono8; jpeg compressed mono8", "grey jpeg", "bgr"),
         ("bayer_rggb8; jpeg compressed mono8", "grey jpeg", "bgr"),
-        ("mono16; png compressed mono16", "deep png", "bgr"),
     ],
 )
 def test_a_file_of_viewable_pixels_gives_its_own_colours(format_text: str, files: str, order: Order) -> None:
@@ -90,21 +91,66 @@ def test_a_file_of_viewable_pixels_gives_its_own_colours(format_text: str, files
 
 
 @pytest.mark.parametrize(
+    ("format_text", "name", "encoding"),
+    [
+        ("bayer_rggb8; jpeg compressed bayer_rggb8", "grey jpeg", "bayer_rggb8"),
+        ("bayer_gbrg8; jpeg compressed ", "grey jpeg", "bayer_gbrg8"),
+        ("bayer_grbg8; png compressed ", "grey png", "bayer_grbg8"),
+        ("bayer_bggr8", "grey jpeg", "bayer_bggr8"),
+        ("mono16; png compressed mono16", "deep png", "mono16"),
+    ],
+)
+def test_a_file_of_values_gives_the_image_of_the_raw_image(
+    format_text: str, name: str, encoding: str
+) -> None:
+    values = cv2.imdecode(np.frombuffer(FILES[name], np.uint8), cv2.IMREAD_UNCHANGED)
+    raw = decode_raw(
+        values.astype(values.dtype.newbyteorder("<")).tobytes(),
+        encoding=encoding,
+        height=40,
+        width=60,
+        step=60 * values.itemsize,
+        is_bigendian=False,
+    )
+    image = decode_compressed(FILES[name], format_text=format_text)
+    assert image.order == ("bgr" if encoding == "mono16" else raw.order)
+    np.testing.assert_array_equal(image.pixels, raw.pixels)
+
+
+def test_a_mosaic_is_read_as_stored_whatever_its_rotation() -> None:
+    rotated = jpeg.with_orientation(FILES["grey jpeg"], 6)
+    stored, found = (
+        decode_compressed(data, format_text="bayer_rggb8").pixels for data in (FILES["grey jpeg"], rotated)
+    )
+    np.testing.assert_array_equal(found, stored)
+
+
+@pytest.mark.parametrize(
     ("format_text", "name", "reason"),
     [
-        ("mono16; jpeg compressed ", "grey jpeg", NO_COLOURS.format("mono16")),
-        ("16UC1; png compressed ", "deep png", NO_COLOURS.format("16UC1")),
-        ("16UC1; jpeg compressed mono8", "nothing", "found 0 bytes that begin with nothing. Subscribe to"),
-        ("bayer_rggb8; jpeg compressed bayer_rggb8", "grey jpeg", NO_COLOURS.format("bayer_rggb8")),
-        ("bayer_gbrg8; jpeg compressed ", "grey jpeg", NO_COLOURS.format("bayer_gbrg8")),
-        ("bayer_bggr8", "grey jpeg", NO_COLOURS.format("bayer_bggr8")),
-        ("32FC1; tiff compressed ", "tiff", NO_COLOURS.format("32FC1")),
-        ("mono8; tiff compressed ", "tiff", "Expected a JPEG or PNG, found .* Subscribe to the raw image"),
+        ("mono16; jpeg compressed ", "grey jpeg", f"a PNG of mono16, found a JPEG, .* {RAW}set .* to png"),
+        ("16UC1; png compressed ", "deep png", NO_VALUES.format("16UC1", f"{RAW}have")),
+        ("16UC1; jpeg compressed ", "nothing", NO_VALUES.format("16UC1", f"{RAW}have")),
+        (
+            "16UC1; jpeg compressed mono8",
+            "nothing",
+            f"found 0 bytes that begin with nothing. {RAW}set .* to png",
+        ),
+        (
+            "bayer_rggb8; jpeg compressed bayer_rggb8",
+            "colour jpeg",
+            f"8 bits for bayer_rggb8, found colours. {RAW}",
+        ),
+        ("bayer_rggb8; png compressed ", "colour png", f"found colours. {RAW}have the publisher name after"),
+        ("bayer_rggb8; png compressed ", "deep png", "8 bits for bayer_rggb8, found 16 bits"),
+        ("bayer_rggb16; png compressed ", "deep png", NO_VALUES.format("bayer_rggb16", "Have")),
+        ("32FC1; tiff compressed ", "tiff", NO_VALUES.format("32FC1", "Have")),
+        ("mono8; tiff compressed ", "tiff", f"Expected a JPEG or PNG, found .* {RAW}set .* to png"),
         ("16UC1; compressedDepth png", "deep png", NO_DEPTH),
         ("16UC1; compressedDepth rvl", "nothing", NO_DEPTH),
     ],
 )
-def test_a_file_of_anything_but_colours_is_refused_with_what_to_do(
+def test_a_file_that_cannot_hold_what_its_format_says_is_refused_with_what_to_do(
     format_text: str, name: str, reason: str
 ) -> None:
     with pytest.raises(ImageError, match=reason):

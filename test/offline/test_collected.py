@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 from support.candidates import CLASS_NAMES, add, candidate, frames_of, images_of, keep
+from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.candidate import Detail, Trigger
@@ -85,6 +88,36 @@ def labelled(data: Path, split: str) -> tuple[LabelledPath, ...]:
 def test_validation_has_about_its_share(counts: list[int], share: float, validation: list[int]) -> None:
     by_session = Counter({f"{session:02d}": count for session, count in enumerate(counts)})
     assert validation_sessions(by_session, share) == [f"{session:02d}" for session in validation]
+
+
+def copied_into_one(folder: Path) -> bool:
+    """Whether the command in the page for the folders of several robots made one of those in `folder`."""
+    page = (REPOSITORY / "docs" / "data-loop.md").read_text()
+    (command,) = re.findall(r"`(.*cp .*)`", page)
+    return subprocess.run(command, shell=True, cwd=folder, check=False).returncode == 0
+
+
+def test_folders_of_several_robots_become_one_with_all_that_they_have(tmp_path: Path) -> None:
+    one, other = collected(tmp_path / "robot_1", 2, 1), collected(tmp_path / "robot_2", 3)
+    corrected = next((one / "labels").rglob("*.txt"))
+    corrected.write_text("1 0.5 0.5 0.5 0.5\n")
+    assert run("split", one) == 0
+    assert copied_into_one(tmp_path)
+    both = tmp_path / "all"
+    assert (both / corrected.relative_to(one)).read_text() == corrected.read_text()
+    assert sorted(map(repr, frames_of(both))) == sorted(map(repr, (*frames_of(one), *frames_of(other))))
+    assert run("split", both) == 0
+    assert len(labelled(both / "split.yaml", "train")) + len(labelled(both / "split.yaml", "val")) == 6
+    assert len(labelled(both, "train")) == 6
+    with closing(CollectedFolder(both, QUOTA)) as opened:
+        assert (len(opened), opened.class_names) == (6, CLASS_NAMES)
+
+
+def test_folders_whose_class_numbers_differ_do_not_become_one(tmp_path: Path) -> None:
+    collected(tmp_path / "robot_1", 1)
+    collected(tmp_path / "robot_2", 1, names=CLASS_NAMES[::-1])
+    assert not copied_into_one(tmp_path)
+    assert not (tmp_path / "all").exists()
 
 
 @pytest.mark.parametrize("linked", ["{image}", "{labels}", "{record}", FRAMES])

@@ -24,8 +24,6 @@ MAX_OBJECTS = 2_000_000
 MAX_CLASSES = 10_000
 MAX_LISTED = 10
 """Number of problems that are reported one by one; further ones are only counted."""
-PROGRESS_PERIOD = 500
-"""Images between two reports of the progress."""
 SPLITS = ("val", "test", "train")
 """Entries of `data.yaml`, of which the first that there is is evaluated."""
 _MAX_SHOWN = 300

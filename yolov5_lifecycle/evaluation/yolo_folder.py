@@ -18,7 +18,6 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
-    PROGRESS_PERIOD,
     SPLITS,
     Boxes,
     DataError,
@@ -51,6 +50,8 @@ MAX_LINES = 2 * MAX_BOXES_PER_IMAGE
 _TOLERANCE = 1e-4
 """How far outside of the image a fraction may be, as tools round."""
 _MIN_POLYGON_FIELDS = 7
+_PROGRESS_PERIOD = 500
+"""Images between two reports of the progress."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +229,7 @@ class _Reader:
     def labelled(self, paths: Sequence[Path], class_count: int) -> Iterator[LabelledPath]:
         """The images with their labels, none if there is no label file; without those with broken ones."""
         for number, path in enumerate(paths):
-            if number % PROGRESS_PERIOD == 0:
+            if number % _PROGRESS_PERIOD == 0:
                 self._problems.progress(f"labels: {number} of {len(paths)} images")
             label_path = _label_path(path, self.root)
             text: str | None = ""

@@ -15,13 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.encodings import encoded
+from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw, encoded
 from yolov5_lifecycle.images.image import ColourImage, ImageError, bytes_of, check_frame_id, check_size
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
 JPEG_QUALITY = 80
 """Out of 100: half the bytes of OpenCV's default 95; text and thin lines stay clean."""
 
+_MOSAICS = frozenset(name for name in ENCODINGS if name.startswith("bayer_"))
 _VALUES = re.compile("bayer_|8SC|(16|32|64)[USF]C")
 """Beginnings of the encodings whose file holds values that are no colours."""
 
@@ -29,8 +30,8 @@ _BOUNDED_BY_OPENCV = re.compile(rb"BM|RIFF....WEBP", re.DOTALL)
 """Beginnings of BMP and WebP files. OpenCV reads more, whose cost nobody has counted."""
 
 _REMEDY = (
-    "Subscribe to the raw image, or have the publisher send colours or grey of 8 bits and name them after "
-    "'compressed', such as bgr8 or mono8"
+    "Subscribe to the raw image, or set the parameter `compressed.format` of the publisher to png if it is "
+    "image_transport's"
 )
 
 MAX_SCANS = 100
@@ -55,6 +56,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = b"\0\0\0\x0dIHDR"  # 13 bytes follow
 _AROUND_DATA = 12  # length and name before the data of a chunk, checksum after them
 _ONCE = {b"IHDR", b"PLTE", b"tRNS", b"eXIf", b"IEND"}
+_COLOURED = 3  # bits of the colour type: a palette, colours
 
 
 def compressed_image(image: Any) -> ColourImage:
@@ -70,26 +72,32 @@ def decode_compressed(data: Any, *, format_text: str = "") -> ColourImage:
     """Decode a JPEG or PNG file; `data` as for `decode_raw`.
 
     `format_text` is the message's `format`, such as "rgb8; jpeg compressed bgr8": what the file holds follows
-    `compressed`, or is the camera's encoding if nothing does. Everything but a mosaic and values that are no
-    colours, also empty and unknown, selects the file's own colours. Of 16-bit files the high byte is kept;
-    transparency is dropped. CMYK is converted by OpenCV. A JPEG has 8 bits, and so it is no mono16.
+    `compressed`, or is the camera's encoding if nothing does. A mosaic of 8 bits is decoded like in
+    `decode_raw`; everything but other values that are no colours, also empty and unknown, selects the file's
+    own colours. Of 16-bit files the high byte is kept; transparency is dropped. CMYK is converted by OpenCV.
+    A JPEG has 8 bits, and so it is no mono16.
 
     EXIF rotation is ignored: pixels are returned as stored.
 
-    Raises ImageError for another format, a mosaic, values that are no colours, an image larger than
-    MAX_COMPRESSED_PX, or one that exceeds the limits of `jpeg_structure` and `png_structure`.
+    Raises ImageError for another format, other values that are no colours, a file that cannot hold the
+    mosaic, an image larger than MAX_COMPRESSED_PX, or one that exceeds the limits of `jpeg_structure` and
+    `png_structure`.
     """
     if "compressedDepth" in format_text:
         raise ImageError(
             f"Format {format_text[:40]!r} is of the transport compressedDepth, which is not supported; "
-            "subscribe to the raw 16UC1 image instead, or publish it through the transport compressed."
+            "subscribe to the raw 16UC1 image instead."
         )
     target = format_text.partition("compressed")[2].strip()
     held = target or format_text.partition(";")[0].strip()
+    if _VALUES.match(held) and held not in _MOSAICS:
+        raise ImageError(_told_values(held))
     buffer = bytes_of(data)
-    if _VALUES.match(held) or (held == "mono16" and is_jpeg(buffer)):  # of 8 bits, clipped
-        raise ImageError(f"Expected colours in a compressed image, found {held[:40]!r}. {_REMEDY}.")
+    if held == "mono16" and is_jpeg(buffer):
+        raise ImageError(f"Expected a PNG of mono16, found a JPEG, which is clipped to 8 bits. {_REMEDY}.")
     file = _checked(buffer, "JPEG or PNG", _REMEDY)
+    if held in _MOSAICS:
+        return _decode_mosaic(file, held)
     pixels = _decoded(file.data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     # The encoder swapped red and blue; image_transport swaps them back the same way.
     return ColourImage(pixels, "rgb" if target.startswith("rgb") else "bgr")
@@ -143,6 +151,27 @@ def _checked(buffer: NDArray[np.uint8], expected: str, remedy: str) -> FileStruc
     return file
 
 
+def _told_values(encoding: str) -> str:
+    """Why a file of values in `encoding` is refused."""
+    remedy = "Subscribe to the raw image, or have" if encoding in ENCODINGS else "Have"
+    return (
+        f"A compressed image of {encoding[:40]!r} is not supported. {remedy} the publisher send colours or "
+        "grey of 8 bits, and name them after 'compressed', such as bgr8 or mono8."
+    )
+
+
+def _decode_mosaic(file: FileStructure, encoding: str) -> ColourImage:
+    if file.grey_bits != 8:
+        found = "colours" if file.grey_bits is None else f"{file.grey_bits} bits"
+        raise ImageError(
+            f"Expected a file of grey values of 8 bits for {encoding}, found {found}. Subscribe to the raw "
+            "image, or have the publisher name after 'compressed' what the file holds, such as bgr8 or mono8."
+        )
+    values = _decoded(file.data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    height, width = values.shape
+    return decode_raw(values, encoding=encoding, height=height, width=width, step=width, is_bigendian=False)
+
+
 def _decoded(file: NDArray[np.uint8], flags: int) -> NDArray[Any]:
     try:
         pixels = cv2.imdecode(file, flags)
@@ -159,6 +188,8 @@ class FileStructure:
 
     data: NDArray[np.uint8]
     size_hw: tuple[int, int]
+    grey_bits: int | None
+    """Per value; None if the file has colours."""
 
 
 def is_jpeg(buffer: NDArray[np.uint8]) -> bool:
@@ -173,13 +204,13 @@ def jpeg_structure(buffer: NDArray[np.uint8]) -> FileStructure:
     header, and beyond MAX_SEGMENTS, MAX_SCANS or MAX_SCANNED_PX.
     """
     data, position, scans = buffer.data, 2, 0
-    frame_hw = None
+    frame_hwc = None
     for _ in range(MAX_SEGMENTS):
         found = _next_marker(data, position)
         if found is None or found[1][0] == _EOI:
             break
         marker, position = found[1][0], found.end()
-        is_expected = marker in _SKIPPED or marker in (_FRAMES if frame_hw is None else {_SOS})
+        is_expected = marker in _SKIPPED or marker in (_FRAMES if frame_hwc is None else {_SOS})
         if not is_expected:
             raise ImageError(
                 "Expected a baseline or progressive JPEG with one frame header, before its scans, found "
@@ -187,20 +218,20 @@ def jpeg_structure(buffer: NDArray[np.uint8]) -> FileStructure:
             )
         segment = _segment(data, position, marker)
         if marker in _FRAMES:
-            frame_hw = _frame_hw(segment)
+            frame_hwc = _frame_hwc(segment)
         scans += marker == _SOS
         position += len(segment)
     else:
         raise ImageError(f"A JPEG may have {MAX_SEGMENTS} segments, this one has more.")
-    if frame_hw is None or not scans:
+    if frame_hwc is None or not scans:
         raise ImageError(f"Expected a complete JPEG, found {len(data)} bytes without a scan.")
-    height, width = frame_hw
+    height, width, components = frame_hwc
     if scans > MAX_SCANS or scans * height * width > MAX_SCANNED_PX:
         raise ImageError(
             f"A JPEG may have {MAX_SCANS} scans, and {MAX_SCANNED_PX} scans x pixels; "
             f"this one has {scans} of {height} x {width}. Save it as a baseline JPEG."
         )
-    return FileStructure(buffer, (height, width))
+    return FileStructure(buffer, (height, width), 8 if components == 1 else None)
 
 
 def _next_marker(data: memoryview, position: int) -> re.Match[bytes] | None:
@@ -221,15 +252,15 @@ def _segment(data: memoryview, position: int, marker: int) -> memoryview:
     return data[position : position + length]
 
 
-def _frame_hw(segment: memoryview) -> tuple[int, int]:
-    """Height and width in a frame header: length, bits, the two, number of components, 3 bytes for each."""
+def _frame_hwc(segment: memoryview) -> tuple[int, int, int]:
+    """Height, width and components in a frame header: length, bits, the three, 3 bytes per component."""
     _, bits, height, width, components = struct.unpack(">HBHHB", bytes(segment[:8]).ljust(8, b"\0"))
     if bits != 8 or components not in _COMPONENTS or len(segment) != 8 + 3 * components:
         raise ImageError(
             f"Expected a JPEG of 8 bits and 1, 3 or 4 components, found {bits} bits and {components} "
             f"components in a header of {len(segment)} bytes. Save it as a baseline JPEG."
         )
-    return height, width
+    return height, width, components
 
 
 def png_structure(buffer: NDArray[np.uint8]) -> FileStructure:
@@ -263,7 +294,7 @@ def png_structure(buffer: NDArray[np.uint8]) -> FileStructure:
         raise ImageError(f"Expected a complete PNG, found {len(data)} bytes without pixels (IDAT).")
     if kept[0][: len(_HEADER)] != _HEADER:
         raise ImageError("Expected a PNG that begins with an IHDR of 13 bytes, found another beginning.")
-    width, height = struct.unpack_from(">II", kept[0], len(_HEADER))
+    width, height, bits, colour = struct.unpack_from(">IIBB", kept[0], len(_HEADER))
     is_plain = len(_SIGNATURE) + sum(map(len, kept)) == position  # then it is not copied
     alone = buffer[:position] if is_plain else np.frombuffer(b"".join((_SIGNATURE, *kept)), np.uint8)
-    return FileStructure(alone, (height, width))
+    return FileStructure(alone, (height, width), None if colour & _COLOURED else bits)

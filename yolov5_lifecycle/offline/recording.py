@@ -77,8 +77,6 @@ _Storage = McapFile | SqliteFile
 _FORMATS: Mapping[str, Callable[[Path, ExitStack], _Storage]] = {".mcap": McapFile, ".db3": SqliteFile}
 _MAX_LISTED = 50
 """Topics in an error."""
-Stamp = tuple[int, int]
-"""Seconds and nanoseconds in the header."""
 
 
 class _TopicMetadata(BaseModel):
@@ -132,8 +130,8 @@ class RecordedMessage:
             ) from None
 
     @property
-    def stamp(self) -> Stamp:
-        """Of its header; raises ImageError."""
+    def stamp(self) -> tuple[int, int]:
+        """Seconds and nanoseconds in its header; raises ImageError."""
         stamp = self.message.header.stamp
         return int(stamp.sec), int(stamp.nanosec)
 
@@ -183,12 +181,6 @@ class Recording:
                 f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
                 "Record the image topic of the camera."
             )
-        return self.one_of(topics, name, what="image topic", option="--topic")
-
-    def one_of(
-        self, topics: Sequence[StoredTopic], name: str | None, *, what: str, option: str
-    ) -> StoredTopic:
-        """The topic `name`, or the only one; raises RecordingError, which names the `option` to choose."""
         wanted = [topic for topic in topics if name in (None, topic.name)]
         if len(wanted) == 1:
             return wanted[0]
@@ -197,8 +189,8 @@ class Recording:
             for topic in topics[:_MAX_LISTED]
         )
         if name is None:
-            raise RecordingError(f"{self.path}: choose one of its {what}s with {option}:{listing}")
-        raise RecordingError(f"{self.path}: there is no {what} {name}; choose one of these:{listing}")
+            raise RecordingError(f"{self.path}: choose one of its image topics with --topic:{listing}")
+        raise RecordingError(f"{self.path}: there is no image topic {name}; choose one of these:{listing}")
 
     def messages(self, topic: StoredTopic) -> Iterator[RecordedMessage]:
         """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""

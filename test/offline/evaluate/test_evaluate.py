@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -143,6 +144,7 @@ def test_another_image_size_is_compared_class_by_class(
     assert evaluate(data, *words) == 0
     output = capsys.readouterr().out
     assert "OTHER has image_size=128\nOTHER has confidence_threshold=0.3\n" in output
+    assert re.search(r"^speed   [0-9.]+ ms per image, OTHER [0-9.]+ ms$", output, re.MULTILINE)
     comparison = report_of(tmp_path / "out")["comparison"]
     assert comparison["changed"] == {"image_size": 128, "confidence_threshold": 0.3}
     together, *each = comparison["rows"]

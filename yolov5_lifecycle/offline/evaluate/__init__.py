@@ -1,1 +1,1 @@
-"""Command `evaluate`: a model on labelled images and recordings."""
+"""Command `evaluate`: a model on labelled images."""

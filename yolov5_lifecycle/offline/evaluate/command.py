@@ -122,7 +122,8 @@ def _usage_problem(arguments: argparse.Namespace, options: DataOptions) -> str:
     )
     useless = (named | named_other - {"weights"}) & _USELESS.keys()
     problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
-    for name in options.useless(kind):
-        option = f"--{name.replace('_', '-')}"
-        problems.append(f"{option} does not apply to {arguments.data}, a data set of the kind {kind}")
+    problems += [
+        f"--{name} does not apply to {arguments.data}, a data set of the kind {kind}"
+        for name in options.useless(kind)
+    ]
     return "; ".join(problems)
