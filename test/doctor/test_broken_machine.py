@@ -201,6 +201,9 @@ def test_the_network_finds_every_shape_of_the_image() -> None:
     assert first.found.startswith("cpu fp32: all 6 shapes found, ")
 
 
+Fault = Callable[[Detections], Detections]
+
+
 def right(detected: Detections) -> Detections:
     return detected
 
@@ -224,12 +227,14 @@ def lacking(detected: Detections) -> Detections:
 @pytest.mark.parametrize(
     ("group", "check", "remedy"),
     [
-        ("devices", "forward", "Install torch again"),
-        ("runtime", "runtime", "Install it again with pip install --force-reinstall onnxruntime"),
+        pytest.param("devices", "forward", "Install torch again", id="torch"),
+        pytest.param(
+            "runtime", "runtime", "Install it again with pip install --force-reinstall onnx", id="runtime"
+        ),
     ],
 )
 def test_a_device_or_runtime_that_detects_wrongly_is_found(
-    monkeypatch: pytest.MonkeyPatch, group: str, check: str, remedy: str, fault: Callable[[Detections], Detections], level: str
+    monkeypatch: pytest.MonkeyPatch, group: str, check: str, remedy: str, fault: Fault, level: str
 ) -> None:
     detect = Detector.detect
     monkeypatch.setattr(Detector, "detect", lambda *arguments: fault(detect(*arguments)))
