@@ -241,6 +241,7 @@ def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> Non
         left = parent / f"{FOLDER_PREFIX}killed"
         left.mkdir()
         (left / "unfinished").write_bytes(b"half")
+    (tmp_path / LABELS / session.name / f"{FOLDER_PREFIX}killed-before-it-wrote").mkdir()
     CollectedFolder(tmp_path, LARGE).close()
     assert check(tmp_path) == 1
 

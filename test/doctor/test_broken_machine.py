@@ -6,7 +6,8 @@ import os
 import sys
 import sysconfig
 import venv
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from support.doctor_process import doctor, first_on_path, of, planted
 from support.recorded_scene import video
 
 from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.doctor import inference, system
 from yolov5_lifecycle.doctor.finding import Machine, without_private_names
 
@@ -197,6 +199,50 @@ def test_two_results_are_compared(found: list[Row], problem: str) -> None:
 def test_the_network_finds_every_shape_of_the_image() -> None:
     first, *_ = inference.CHECKS["devices"]["forward"](Machine())
     assert first.found.startswith("cpu fp32: all 6 shapes found, ")
+
+
+Fault = Callable[[Detections], Detections]
+
+
+def right(detected: Detections) -> Detections:
+    return detected
+
+
+def low_scores(detected: Detections) -> Detections:
+    return replace(detected, scores=detected.scores - np.float32(0.2))
+
+
+def shifted(detected: Detections) -> Detections:
+    return replace(detected, boxes_xyxy=detected.boxes_xyxy + np.float32(10))
+
+
+def lacking(detected: Detections) -> Detections:
+    return detections(*zip(detected.class_ids[1:], detected.scores[1:], detected.boxes_xyxy[1:], strict=True))
+
+
+@pytest.mark.parametrize(
+    ("fault", "level"),
+    [(right, "ok"), (low_scores, "error"), (shifted, "error"), (lacking, "error")],
+)
+@pytest.mark.parametrize(
+    ("group", "check", "remedy"),
+    [
+        pytest.param("devices", "forward", "Install torch again", id="torch"),
+        pytest.param(
+            "runtime", "runtime", "Install it again with pip install --force-reinstall onnx", id="runtime"
+        ),
+    ],
+)
+def test_a_device_or_runtime_that_detects_wrongly_is_found(
+    monkeypatch: pytest.MonkeyPatch, group: str, check: str, remedy: str, fault: Fault, level: str
+) -> None:
+    detect = Detector.detect
+    monkeypatch.setattr(Detector, "detect", lambda *arguments: fault(detect(*arguments)))
+    *_, finding = inference.CHECKS[group][check](Machine(target="onnxruntime"))
+    assert finding.level == level
+    assert finding.found.startswith("cpu fp32: all 6 shapes found, ") == (level == "ok")
+    assert (" differs from the ground truth: it lacks " in finding.found) == (level == "error")
+    assert finding.remedy.startswith(remedy if level == "error" else "")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="nothing is wrong with the driver of the GPU")

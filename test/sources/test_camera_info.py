@@ -38,6 +38,8 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
         pytest.param(
             "plumb_bob", "fisheye", "'plumb_bob', 'rational_polynomial' or 'equidistant'", id="model"
         ),
+        pytest.param("rows: 3", "rows: 9", "camera_matrix.rows: Input should be 3", id="rows"),
+        pytest.param("cols: 4", "cols: 3", "projection_matrix.cols: Input should be 4", id="columns"),
         pytest.param(
             "438.78", ".nan", "camera_matrix.data.0: Input should be a finite number", id="no number"
         ),

@@ -13,13 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import (
-    FOLDER_PREFIX,
-    hold,
-    open_itself,
-    remove_abandoned_folders,
-    write_together,
-)
+from yolov5_lifecycle.atomic_file import hold, open_itself, remove_abandoned_folders, write_together
 from yolov5_lifecycle.collecting.collected_files import (
     DATA,
     FRAMES,
@@ -38,7 +32,7 @@ from yolov5_lifecycle.collecting.collected_files import (
 )
 from yolov5_lifecycle.collecting.descriptors import KeptDescriptors
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
-from yolov5_lifecycle.folder_listing import FolderTree
+from yolov5_lifecycle.folder_listing import entries
 
 MAX_FRAMES = 20_000
 """By default; each takes about 2 kB of memory."""
@@ -231,12 +225,11 @@ class CollectedFolder:
             if not (self._path / image).exists():
                 self._unlink(image)
         self._make_room(math.inf)
-        tree = FolderTree()
-        files = (file for kind in SUFFIXES for file in tree.files(self._path / kind))
-        parents = {file.parent for file in files}
-        unfinished = {folder.parent for folder in parents if folder.name.startswith(FOLDER_PREFIX)}
-        for folder in (self._path, *unfinished):
-            remove_abandoned_folders(folder)
+        remove_abandoned_folders(self._path)
+        for kind in SUFFIXES:
+            with suppress(OSError):  # there may be none
+                for session in entries(self._path / kind):
+                    remove_abandoned_folders(session)
 
 
 def _missing(path: Path) -> CollectingError:

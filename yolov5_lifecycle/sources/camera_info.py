@@ -21,7 +21,7 @@ Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 
 
 class Coefficients(BaseModel):
-    """The values of a matrix in OpenCV's YAML format, row by row."""
+    """A matrix in OpenCV's YAML format: rows, cols and row-major data."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -29,10 +29,14 @@ class Coefficients(BaseModel):
 
 
 class Matrix3x3(Coefficients):
+    rows: Literal[3] = 3
+    cols: Literal[3] = 3
     data: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)]
 
 
 class Matrix3x4(Coefficients):
+    rows: Literal[3] = 3
+    cols: Literal[4] = 4
     data: Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
 
 
