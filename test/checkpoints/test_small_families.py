@@ -1,4 +1,4 @@
-"""Every kind of layer is read as each version saves it, fused, trained on several GPUs, or wrapped to run."""
+"""Every kind of layer is read as each version saves it, trained on several GPUs, or wrapped to run."""
 
 from __future__ import annotations
 
