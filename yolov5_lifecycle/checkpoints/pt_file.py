@@ -51,7 +51,9 @@ def read_checkpoint(data: bytes) -> Model:
     """
     archive = read_archive(data)
     modules = modules_of(model_root(unpickled(archive)))
-    tensors = _named_like_layers(dict(tensors_of(modules)))
+    # Until v5.0 the anchors are there twice, the second time in pixels.
+    stored = {key: tensor for key, tensor in tensors_of(modules) if not key.endswith(".anchor_grid")}
+    tensors = _named_like_layers(stored)
     _check_storages(tensors, archive)
     _check_sizes(tensors, len(data))
     return _model(modules, tensors, archive)
@@ -111,14 +113,12 @@ def _model(modules: Mapping[str, Stub], stored: Mapping[str, StoredTensor], arch
     network = blueprint(architecture)
     check_settings(modules, network)
     names = check_class_names(root.get("names"), classes)
-    # Until v5.0 the anchors are there twice, the second time in pixels.
-    layers = {key: tensor for key, tensor in stored.items() if key != f"{head}.anchor_grid"}
     expected = network.state_dict()
-    masks = {f"{key}{_MASK}": key for key in expected if f"{key}{_MASK}" in layers}
+    masks = {f"{key}{_MASK}": key for key in expected if f"{key}{_MASK}" in stored}
     expected |= {mask: expected[key] for mask, key in masks.items()}
-    check_fit(expected, {key: tensor.on_meta() for key, tensor in layers.items()})
+    check_fit(expected, {key: tensor.on_meta() for key, tensor in stored.items()})
     _check_byte_order(archive)
-    tensors = {key: read(tensor) for key, tensor in layers.items()}
+    tensors = {key: read(tensor) for key, tensor in stored.items()}
     for mask, key in masks.items():
         tensors[key] = tensors[key] * tensors.pop(mask)
     return checked_model(architecture, names, tensors)
