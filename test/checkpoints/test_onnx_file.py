@@ -20,6 +20,8 @@ from yolov5_lifecycle.commands.convert import convert
 from yolov5_lifecycle.models.cost import cost_of
 from yolov5_lifecycle.models.model import Export, WeightsError
 
+NUMBERED = ("class 0", "class 1", "class 2")
+
 
 @pytest.mark.parametrize("masks", [0, 4])
 @pytest.mark.parametrize("has_objectness", [True, False])
@@ -30,17 +32,17 @@ def test_the_layout_is_told_from_shapes_and_names(has_objectness: bool, masks: i
     assert export.class_names == NAMES
 
 
-@pytest.mark.parametrize("metadata", [{}, {"stride": "32"}, {"names": "['cat', 'dog', 'cow']"}], ids=str)
-def test_an_export_of_before_v6_2_is_refused_with_the_remedy(metadata: dict[str, str]) -> None:
-    with pytest.raises(WeightsError, match=r"again, with YOLOv5 v6\.2 or later"):
-        read_onnx(small_export(metadata=metadata))
+@pytest.mark.parametrize("has_objectness", [True, False])
+def test_an_export_without_metadata_has_numbered_classes(has_objectness: bool) -> None:
+    export = read_onnx(small_export(has_objectness=has_objectness, metadata={}, size_hw=(320, 320)))
+    assert (export.class_names, export.has_objectness) == (NUMBERED, has_objectness)
 
 
-@pytest.mark.parametrize("batch", [None, 1])
+@pytest.mark.parametrize("batch", [None, 1, 2])
 @pytest.mark.parametrize("size_hw", [None, (64, 96)])
 def test_what_is_fixed_is_told(size_hw: tuple[int, int] | None, batch: int | None) -> None:
     export = read_onnx(small_export(size_hw=size_hw, batch=batch))
-    assert export.size_hw == size_hw
+    assert (export.size_hw, export.batch) == (size_hw, batch)
 
 
 def test_an_export_in_half_precision_is_fp16() -> None:
@@ -52,12 +54,14 @@ def test_an_export_in_half_precision_is_fp16() -> None:
     [
         pytest.param("32", (64, 96), 32, id="as written"),
         pytest.param("32.0", None, 32, id="as a decimal number"),
+        pytest.param(None, (64, 96), 32, id="not told, fixed size"),
+        pytest.param(None, None, 64, id="not told, any size: what every model takes"),
     ],
 )
 def test_images_are_multiples_of_the_stride(
-    stride: str, size_hw: tuple[int, int] | None, expected: int
+    stride: str | None, size_hw: tuple[int, int] | None, expected: int
 ) -> None:
-    metadata = {"names": str(list(NAMES)), "stride": stride}
+    metadata = {"names": str(list(NAMES))} | ({"stride": stride} if stride else {})
     assert read_onnx(small_export(size_hw=size_hw, metadata=metadata)).stride == expected
 
 
@@ -73,7 +77,7 @@ def test_images_are_multiples_of_the_stride(
     ],
 )
 def test_class_names_are_those_of_the_metadata(entry: str, names: tuple[str, ...]) -> None:
-    assert read_onnx(small_export(metadata={"stride": "32", "names": entry})).class_names == names
+    assert read_onnx(small_export(metadata={"names": entry})).class_names == names
 
 
 @pytest.mark.parametrize(
@@ -87,7 +91,7 @@ def test_class_names_are_those_of_the_metadata(entry: str, names: tuple[str, ...
 )
 def test_class_names_in_another_form_are_refused(entry: str) -> None:
     with pytest.raises(WeightsError, match="class names"):
-        read_onnx(small_export(metadata={"stride": "32", "names": entry}))
+        read_onnx(small_export(metadata={"names": entry}))
 
 
 def weights_as_constants(model: Any) -> None:

@@ -1,4 +1,4 @@
-"""Every kind of layer is read as each version saves it, fused, trained on several GPUs, or wrapped to run."""
+"""Every kind of layer is read as each version saves it, trained on several GPUs, or wrapped to run."""
 
 from __future__ import annotations
 
@@ -103,6 +103,21 @@ def test_a_model_of_a_training_on_several_machines_is_read(tmp_path: Path) -> No
     finally:
         distributed.destroy_process_group()
     assert_same_model(read_checkpoint(data), SMALL, random_network(0, SMALL))
+
+
+def test_images_of_a_model_without_that_entry_in_its_yaml_may_be_grey() -> None:
+    architecture = EVERY_SMALL["resized"]
+    model = official_model(architecture, before_v6=True)
+    assert "ch" not in model.yaml
+    assert read_checkpoint(saved(stripped(model))).architecture.image_channels == 1
+
+
+def test_a_mixed_convolution_that_cannot_add_its_input_is_read_though_it_has_one_group() -> None:
+    """Three channels have no group in common with 32: those of before v6.1 could not run here."""
+    first = SMALL.layers[0]._replace(kind="MixConv2d", args=(512, (1, 3), 2))
+    architecture = dataclasses.replace(SMALL, layers=(first, *SMALL.layers[1:]))
+    data = saved(stripped(official_model(architecture, half=False)))
+    assert read_checkpoint(data).architecture == architecture
 
 
 def test_a_number_of_channels_that_is_that_of_the_head_is_not_scaled() -> None:

@@ -120,6 +120,7 @@ def test_a_url_is_answered_with_what_to_type(url: str, look: Callable[[str], obj
     with pytest.raises(WeightsError) as refused:
         look(url)
     message = in_one_line(str(refused.value))
+    assert message.startswith(url) or "secret" in url
     assert "this is a URL, and a path is expected: download it" in message
     assert "`fetch_weights n` downloads an official model" in message
     assert "secret" not in message

@@ -74,7 +74,7 @@ def test_an_export_is_told_with_what_it_takes(tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "best.onnx").write_bytes(small_export(has_objectness=False, masks=4))
     facts = described(tmp_path / "best.onnx", capsys)
     assert facts["boxes"] == "without objectness"
-    assert facts["images"] == "colour, 96x64, fp32"
+    assert facts["images"] == "colour, 96x64, fp32, batches of 1"
     assert facts["masks"] == "4 prototypes"
     assert facts["classes"] == "3: cat, dog, cow"
     assert facts["usable"] == "yes"

@@ -39,6 +39,7 @@ DAMAGED: dict[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "EOF"),
     "no text": (lambda: b"\xff\xfe\x00", "Invalid JSON"),
     "another format": (with_(format="yolov5_lifecycle calibration 4"), "format"),
+    "version 2": (with_(format="yolov5_lifecycle calibration 2", weight_bits=8, measured=[]), "format"),
     "no ranges at all": (with_(ranges=None), "ranges: Field required"),
     "not a number": (of_one_layer(0.0, float("nan")), "ranges.x.1"),
     "of zero width": (of_one_layer(0.0, 0.0), r"expected \[low, high\] with low <= 0 <= high"),

@@ -76,6 +76,7 @@ def expected_rows(
         pytest.param({"size_hw": None, "batch": None}, id="dynamic"),
         pytest.param({"is_half": True}, id="fp16"),
         pytest.param({"masks": 4}, id="masks"),
+        pytest.param({"masks": 4, "batch": 2}, id="masks, batch of 2"),
     ],
 )
 def test_rows_are_those_of_a_slow_reference(

@@ -138,9 +138,7 @@ def official_model(
         class_weights=torch.ones(architecture.classes),
     )
     if before_v6:
-        del model.inplace
-        if architecture.image_channels == 3:
-            del model.yaml["ch"]
+        del model.yaml["ch"], model.inplace
         _add_anchor_grid(head(model), architecture)
     return model
 

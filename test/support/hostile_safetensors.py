@@ -79,6 +79,14 @@ def layer(index: int, *row: object) -> Callable[[], bytes]:
     return _described(lambda described: described["layers"].__setitem__(index, row))
 
 
+def _with_long_strides(described: dict[str, Any]) -> None:
+    """360 strides of 8 leave few cells: with one more at an edge, no later stride is a simple number."""
+    smaller = [[-1, 100, "Conv", [64, 3, 8]]] * 3 + [[-1, 1, "MaxPool2d", [8, 8, 4]]] * 60
+    larger = [[-1, 1, "ConvTranspose2d", [64, 8, 8]]] * 90
+    *layers, head = described["layers"]
+    described.update(depth_multiple=1.0, layers=[*layers, *smaller, *larger, head])
+
+
 def _described(change: Callable[[dict[str, Any]], object]) -> Callable[[], bytes]:
     def changed(entries: dict[str, Any]) -> None:
         described = json.loads(entries["__metadata__"]["architecture"])
@@ -189,6 +197,7 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "one class more": (architecture(classes=4), "names of 4 classes, found 3 names"),
     "other strides": (architecture(strides=[8, 16]), "the strides are [8, 16], but its layers"),
+    "strides of more digits than Python writes": (_described(_with_long_strides), "have strides above 1024"),
     "100,000 strides": (architecture(strides=[8] * 100_000), "equally many anchors"),
     "no anchors": (architecture(anchors_px=[]), "equally many anchors"),
     "anchors of empty levels": (architecture(anchors_px=[[], []]), "anchors of a level: expected"),

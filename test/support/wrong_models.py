@@ -197,6 +197,10 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         changed(lambda model: model.yaml["backbone"].__setitem__(2, [-1, 1, "C3TR", [64, True, 1, 0.7]])),
         "cannot be divided among 4 attention heads",
     ),
+    "large anchors in pixels, which are not read": (
+        changed(lambda model: vars(head(model))["_buffers"].update(anchor_grid=torch.zeros(20_000_000))),
+        "bytes that belong to no layer",
+    ),
     "NMS added for an export": (
         child("model", **{"9": nms()}),
         "which YOLOv5 before 6.0 added for an export",

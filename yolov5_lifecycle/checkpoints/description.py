@@ -69,7 +69,10 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
 def _of_export(export: Export) -> Iterator[tuple[str, str]]:
     yield "boxes", "with objectness, as of YOLOv5" if export.has_objectness else "without objectness"
     size = "{1}x{0}".format(*export.size_hw) if export.size_hw else f"sides multiples of {export.stride}"
-    yield "images", f"{_colours(export.channels)}, {size}, {export.precision}"
+    yield (
+        "images",
+        f"{_colours(export.channels)}, {size}, {export.precision}, batches of {export.batch or 'any'}",
+    )
     if export.mask_coefficients:
         yield "masks", f"{export.mask_coefficients} prototypes"
     yield "classes", f"{len(export.class_names)}: {', '.join(export.class_names)}"

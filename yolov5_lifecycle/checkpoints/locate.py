@@ -148,7 +148,7 @@ def weights_digest(path: Path, *, sha256: str = "") -> str:
 def shown_path(path: Path) -> str:
     """`path` as the user wrote it: of a URL, Path drops slashes, by which secrets in it are recognised."""
     url = _URL.fullmatch(str(path))
-    return f"{url[1]}://{url[2]}" if url else str(path)
+    return f"{url[1]}://{'/' if url[1].lower() == 'file' else ''}{url[2]}" if url else str(path)
 
 
 def _url_advice(path: Path) -> str:

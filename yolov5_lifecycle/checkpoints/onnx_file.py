@@ -17,6 +17,9 @@ from yolov5_lifecycle.models.model import MAX_CLASSES, Export, WeightsError, che
 
 MAX_NODES = 5_000
 """The export of YOLOv5x6 has about 1,000."""
+_MAX_BATCH = 64
+_ANY_STRIDE = 64
+"""What the largest models need; exports before v6.2 do not tell theirs."""
 _MAX_STRIDE, _SMALL_SIDE, _MAX_SIDE = 1024, 128, 4096
 _FLOAT, _HALF = 1, 10
 _BYTES = {_FLOAT: 4, 2: 1, 3: 1, 6: 4, 7: 8, 9: 1, _HALF: 2, 11: 8}
@@ -64,19 +67,18 @@ def read_onnx(data: bytes) -> Export:
     _check_graph(model)
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     _check_task(metadata)
-    is_half, channels, size_hw = _images(images_of(model))
+    is_half, batch, channels, size_hw = _images(images_of(model))
     stride = _stride(metadata, size_hw)
     side = math.ceil(_SMALL_SIDE / stride) * stride
-    trace = Trace(model, (1, channels, *(size_hw or (side, side))))
+    trace = Trace(model, (batch or 1, channels, *(size_hw or (side, side))))
     shapes = [trace.shapes[output.name] for output in model.graph.output]
-    boxes, prototypes = _placed(shapes)
+    boxes, prototypes = _placed(shapes, batch or 1)
     masks = 0 if prototypes is None else shapes[prototypes][1]
     names = _told_names(metadata)
-    classes = max(names, default=-1) + 1
-    has_objectness = _has_objectness(shapes[boxes], masks, classes)
+    has_objectness, classes = _layout(shapes[boxes], masks, names)
     return Export(
         graph=data,
-        class_names=check_class_names(names, classes, remedy="export the model again, with its names"),
+        class_names=check_class_names(names or {}, classes, remedy="export the model again, with its names"),
         channels=channels,
         stride=stride,
         is_half=is_half,
@@ -85,13 +87,14 @@ def read_onnx(data: bytes) -> Export:
         boxes=boxes,
         prototypes=prototypes,
         size_hw=size_hw,
+        batch=batch,
     )
 
 
 def export_cost(export: Export, size_hw: tuple[int, int]) -> Cost:
     """The cost of a run for images of `size_hw`; raises WeightsError if it is out of proportion."""
     model = onnx.load_from_string(export.graph)
-    return Trace(model, (1, export.channels, *size_hw)).cost
+    return Trace(model, (export.batch or 1, export.channels, *size_hw)).cost
 
 
 def _check_graph(model: Any) -> None:
@@ -153,10 +156,10 @@ def _check_array(array: Any) -> None:
         )
 
 
-def _images(images: Any) -> tuple[bool, int, tuple[int, int] | None]:
-    """Whether `images`, what the graph reads, are of float16; their channels; height and width, None for any.
+def _images(images: Any) -> tuple[bool, int | None, int, tuple[int, int] | None]:
+    """Whether `images`, what the graph reads, are of float16; their number, channels, height and width.
 
-    Raises WeightsError.
+    None stands for any. Raises WeightsError.
     """
     tensor = images.type.tensor_type
     planes: list[Any] = [each.dim_value if each.HasField("dim_value") else None for each in tensor.shape.dim]
@@ -167,25 +170,27 @@ def _images(images: Any) -> tuple[bool, int, tuple[int, int] | None]:
         )
     batch, channels, *sides = planes
     is_any_size = sides == [None, None]
-    if (None in sides and not is_any_size) or batch not in (None, 1):
+    if (None in sides and not is_any_size) or not 0 < (1 if batch is None else batch) <= _MAX_BATCH:
         raise WeightsError(
-            "expected height and width both fixed or both free, and batches of any size or of 1, found "
+            f"expected height and width both fixed or both free, and batches of 1 to {_MAX_BATCH}, found "
             f"{shown(planes)}: export the model again"
         )
-    return tensor.elem_type == _HALF, channels, None if is_any_size else (sides[0], sides[1])
+    return tensor.elem_type == _HALF, batch, channels, None if is_any_size else (sides[0], sides[1])
 
 
 def _stride(metadata: Mapping[str, str], size_hw: tuple[int, int] | None) -> int:
     """The largest stride; raises WeightsError unless a fixed size is a multiple of it."""
-    told = re.fullmatch(r"([1-9]\d{0,3})(?:\.0)?", metadata.get("stride", ""), re.ASCII)
+    told = re.fullmatch(r"([1-9]\d{0,3})(?:\.0)?", metadata.get("stride", str(_ANY_STRIDE)), re.ASCII)
     stride = int(told[1]) if told else 0
+    if "stride" not in metadata and size_hw:
+        stride = math.gcd(*size_hw, _ANY_STRIDE)
     if not 0 < stride <= _MAX_STRIDE or any(
         side % stride or not 0 < side <= _MAX_SIDE for side in size_hw or ()
     ):
         raise WeightsError(
             f"expected a stride up to {_MAX_STRIDE} in the metadata, and height and width of images that are "
             f"multiples of it, up to {_MAX_SIDE}, found {shown(metadata.get('stride'))} and {size_hw}: "
-            "export the model again, with YOLOv5 v6.2 or later"
+            "export the model again"
         )
     return stride
 
@@ -198,11 +203,11 @@ def _check_task(metadata: Mapping[str, str]) -> None:
         raise WeightsError("it selects boxes itself (end2end): export it again with end2end=False, nms=False")
 
 
-def _placed(shapes: list[Shape]) -> tuple[int, int | None]:
+def _placed(shapes: list[Shape], batch: int) -> tuple[int, int | None]:
     """Which outputs are the boxes and the prototypes; raw outputs beside them, as before v6.2, are unused."""
     boxes = [place for place, shape in enumerate(shapes) if len(shape) == 3]
     prototypes = [place for place, shape in enumerate(shapes) if len(shape) == 4]
-    if len(boxes) != 1 or len(prototypes) > 1 or any(shape[:1] != (1,) for shape in shapes):
+    if len(boxes) != 1 or len(prototypes) > 1 or any(shape[:1] != (batch,) for shape in shapes):
         raise WeightsError(
             "expected boxes of three dimensions and, of a model that segments, prototypes of four, found "
             f"outputs {', '.join(map(shown, shapes[:8]))}: exports with raw outputs are not read"
@@ -210,22 +215,27 @@ def _placed(shapes: list[Shape]) -> tuple[int, int | None]:
     return boxes[0], prototypes[0] if prototypes else None
 
 
-def _has_objectness(shape: Shape, masks: int, classes: int) -> bool:
-    """Whether there is objectness; raises WeightsError."""
+def _layout(shape: Shape, masks: int, names: Mapping[int, object] | None) -> tuple[bool, int]:
+    """Whether there is objectness, and the number of classes; raises WeightsError."""
     _, rows, columns = shape
     with_objectness, without = columns - 5 - masks, rows - 4 - masks
+    classes = (
+        (with_objectness if rows > columns else without) if names is None else max(names, default=-1) + 1
+    )
     if not 0 < classes <= MAX_CLASSES or classes not in (with_objectness, without):
         raise WeightsError(
             f"expected boxes [batch, N, {5 + masks} + classes] or [batch, {4 + masks} + classes, N] with "
-            f"{classes} classes, found {shown(shape)}: they have another meaning; export a model that "
-            "detects or segments"
+            f"{'1' if names is None else classes} to {MAX_CLASSES} classes, found {shown(shape)}: they have "
+            "another meaning; export a model that detects or segments"
         )
-    return classes == with_objectness
+    return classes == with_objectness, classes
 
 
-def _told_names(metadata: Mapping[str, str]) -> dict[int, object]:
-    """The class names by index, read as a literal; raises WeightsError."""
+def _told_names(metadata: Mapping[str, str]) -> dict[int, object] | None:
+    """The class names by index, read as a literal; None before v6.2, which told none. Raises WeightsError."""
     entry = metadata.get("names", "").strip()
+    if "names" not in metadata:
+        return None
     names: object = None
     if len(entry) <= _MAX_NAMES and _NAMES.fullmatch(entry):
         with suppress(SyntaxError, ValueError):
@@ -233,7 +243,7 @@ def _told_names(metadata: Mapping[str, str]) -> dict[int, object]:
     if not isinstance(names, (list, dict)):
         raise WeightsError(
             f"expected a list or dict of class names in the metadata, of at most {_MAX_NAMES:,} characters, "
-            f"found {shown(entry)}: export the model again, with YOLOv5 v6.2 or later"
+            f"found {shown(entry)}: export the model again"
         )
     return dict(enumerate(names)) if isinstance(names, list) else names
 

@@ -222,7 +222,7 @@ def _check_module(path: str, pickled: Stub | None, module: nn.Module) -> None:
             "YOLOv5 models are supported"
         )
     if isinstance(module, MixConv2d):
-        _check_mixed(path, pickled)
+        _check_mixed(path, pickled, module)
     for name, value in _settings(module).items():
         if not _same(pickled.get(name), value):
             raise WeightsError(f"{path}.{name} is {shown(pickled.get(name))}, expected {shown(value)}")
@@ -230,11 +230,14 @@ def _check_module(path: str, pickled: Stub | None, module: nn.Module) -> None:
         raise WeightsError(f"{path}.batch_first is True, expected False")
 
 
-def _check_mixed(path: str, pickled: Stub) -> None:
-    """Until v6.0 a MixConv2d had one group and added its input."""
+def _check_mixed(path: str, pickled: Stub, module: MixConv2d) -> None:
+    """Until v6.0 a MixConv2d had one group and added its input, which has to be like its output."""
+    made = [part for part in module.m if isinstance(part, nn.Conv2d)]
+    channels = sum(part.out_channels for part in made)
+    may_add = all(part.in_channels == channels and part.stride == (1, 1) for part in made)
     mixed = [part for part in pickled.group("_modules").values() if isinstance(part, Stub)]
     parts = [part for several in mixed for part in several.group("_modules").values()]
-    if all(isinstance(part, Stub) and part.get("groups") == 1 for part in parts):
+    if may_add and all(isinstance(part, Stub) and part.get("groups") == 1 for part in parts):
         raise WeightsError(
             f"the module {path} is a MixConv2d of YOLOv5 before 6.1, which adds its input: not supported"
         )

@@ -48,7 +48,7 @@ TORCH_NAMES = (
 _STUB_PREFIXES = (
     *("models.", "utils.", "yolov5.models.", "yolov5.utils.", "torch.nn.modules."),
     *("torch.nn.parallel.", "torch.distributed."),  # around a model that was trained on several GPUs
-    "thop.",  # hooks that count multiply-adds
+    *("torch.nn.utils.prune.", "thop."),  # hooks of pruning, and of counting multiply-adds
 )
 _REMEDIES: Mapping[tuple[str, ...], str] = MappingProxyType(
     {
@@ -65,9 +65,9 @@ _REMEDIES: Mapping[tuple[str, ...], str] = MappingProxyType(
             "torch saves as arrays: load it on the machine that wrote it, and save it again with "
             "`torch.save({{'model': model.cpu()}}, 'cpu.pt')`"
         ),
-        ("torch.nn.utils.weight_norm.", "torch.nn.utils.spectral_norm.", "torch.nn.utils.prune."): (
-            "it names {}, which computes weights from others: call remove_weight_norm, remove_spectral_norm "
-            "or prune.remove of torch.nn.utils for each such layer, and save the model again"
+        ("torch.nn.utils.weight_norm.", "torch.nn.utils.spectral_norm."): (
+            "it names {}, which computes weights from others: call torch.nn.utils.remove_weight_norm or "
+            "remove_spectral_norm for each such layer, and save the model again"
         ),
     }
 )

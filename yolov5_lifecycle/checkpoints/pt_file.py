@@ -31,6 +31,8 @@ from yolov5_lifecycle.models.model import (
     shown,
 )
 
+_ORIGINAL, _MASK = "_orig", "_mask"
+"""What the names of a weight before pruning, and of the ones and zeros to multiply it by, end in."""
 MAX_SURPLUS_BYTES = 64 << 20
 MAX_SURPLUS = 8
 """Max ratio of other bytes in a file to the bytes of its layers, beyond `MAX_SURPLUS_BYTES`.
@@ -49,10 +51,20 @@ def read_checkpoint(data: bytes) -> Model:
     """
     archive = read_archive(data)
     modules = modules_of(model_root(unpickled(archive)))
-    tensors = dict(tensors_of(modules))
+    # Until v5.0 the anchors are there twice, the second time in pixels.
+    stored = {key: tensor for key, tensor in tensors_of(modules) if not key.endswith(".anchor_grid")}
+    tensors = _named_like_layers(stored)
     _check_storages(tensors, archive)
     _check_sizes(tensors, len(data))
     return _model(modules, tensors, archive)
+
+
+def _named_like_layers(tensors: Mapping[str, StoredTensor]) -> dict[str, StoredTensor]:
+    """`tensors` with the weights that torch.nn.utils.prune renamed by their own names, beside their masks."""
+    return {
+        key.removesuffix(_ORIGINAL) if f"{key.removesuffix(_ORIGINAL)}{_MASK}" in tensors else key: tensor
+        for key, tensor in tensors.items()
+    }
 
 
 def _check_storages(tensors: Mapping[str, StoredTensor], archive: Archive) -> None:
@@ -92,7 +104,7 @@ def _model(modules: Mapping[str, Stub], stored: Mapping[str, StoredTensor], arch
 
     strides = strides_of(root, read)
     architecture = architecture_of(
-        root.get("yaml"),
+        _with_channels(root.get("yaml"), stored, modules.get("model.0")),
         classes=classes,
         anchors_px=anchors_of(stored.get(f"{head}.anchors"), strides, read),
         strides=strides,
@@ -101,11 +113,23 @@ def _model(modules: Mapping[str, Stub], stored: Mapping[str, StoredTensor], arch
     network = blueprint(architecture)
     check_settings(modules, network)
     names = check_class_names(root.get("names"), classes)
-    # Until v5.0 the anchors are there twice, the second time in pixels.
-    layers = {key: tensor for key, tensor in stored.items() if key != f"{head}.anchor_grid"}
-    check_fit(network.state_dict(), {key: tensor.on_meta() for key, tensor in layers.items()})
+    expected = network.state_dict()
+    masks = {f"{key}{_MASK}": key for key in expected if f"{key}{_MASK}" in stored}
+    expected |= {mask: expected[key] for mask, key in masks.items()}
+    check_fit(expected, {key: tensor.on_meta() for key, tensor in stored.items()})
     _check_byte_order(archive)
-    return checked_model(architecture, names, {key: read(tensor) for key, tensor in layers.items()})
+    tensors = {key: read(tensor) for key, tensor in stored.items()}
+    for mask, key in masks.items():
+        tensors[key] = tensors[key] * tensors.pop(mask)
+    return checked_model(architecture, names, tensors)
+
+
+def _with_channels(yaml: object, stored: Mapping[str, StoredTensor], first: Stub | None) -> object:
+    """`yaml` with the channels of images; before v6.0 only the weights of the `first` layer tell them."""
+    shapes = (tensor.shape for key, tensor in stored.items() if key.startswith("model.0."))
+    shape = next((shape for shape in shapes if len(shape) == 4), (0, 3))
+    channels = shape[1] // 4 if first is not None and first.kind == "Focus" else shape[1]
+    return {"ch": channels} | yaml if isinstance(yaml, dict) else yaml
 
 
 def _check_byte_order(archive: Archive) -> None:

@@ -137,7 +137,7 @@ def _check_strides(architecture: Architecture) -> None:
             f"the strides are {shown(architecture.strides)}, but its layers produce {shown(made)}"
         )
     if multiple > MAX_STRIDE:
-        raise WeightsError(f"its layers have strides up to {multiple}, at most {MAX_STRIDE} are supported")
+        raise WeightsError(f"its layers have strides above {MAX_STRIDE}: no model needs that")
 
 
 def _check_cost(architecture: Architecture) -> None:

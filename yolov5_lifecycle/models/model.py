@@ -70,6 +70,8 @@ class Export:
     prototypes: int | None
     size_hw: tuple[int, int] | None
     """The only size of its images; None for any."""
+    batch: int | None
+    """The only number of images in a run; None for any."""
 
     @property
     def precision(self) -> str:

@@ -63,13 +63,16 @@ class _Exported(Program):
 
 
 class _ExportedNetwork:
-    """A loaded `export` for one input shape, with its input buffer."""
+    """A loaded `export` for one input shape, with its input buffer.
+
+    A fixed batch is filled up with black.
+    """
 
     def __init__(self, export: Export, loaded: Loaded, shape: Shape) -> None:
         self._export = export
         self._loaded = loaded
         self._run = loaded.new_run()
-        self._planes = np.empty((1, export.channels, *shape), np.uint8)
+        self._planes = np.zeros((export.batch or 1, export.channels, *shape), np.uint8)
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
         """See `Runtime`."""

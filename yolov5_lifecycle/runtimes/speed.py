@@ -38,6 +38,7 @@ _HARDLY_SLOWER = 1.15
 _ROUNDS = 9
 _WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
+_MAX_CACHE_BYTES = 1 << 20
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 
 Key = TypeVar("Key")
@@ -77,7 +78,8 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    cache, key = DiskCache(folder or cache_folder("choices")), _key(model, installed, frame_hw)
+    cache = DiskCache(folder or cache_folder("choices"), _MAX_CACHE_BYTES)
+    key = _key(model, installed, frame_hw)
     if (record := cache.read(key)) is not None:
         return _fastest(json.loads(record), f"cached in {cache.folder / key}")
     figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
