@@ -129,7 +129,6 @@ setup(
             "ros-lifecycle-msgs~=2.0",
             "ros-rclpy[fastrtps]~=7.1",
         ],
-        "summary": ["pyarrow>=15"],
         "tracking": ["scipy>=1.11"],
     },
     cmdclass={"sdist": ReproducibleSdist},

@@ -18,7 +18,6 @@ from yolov5_lifecycle.offline.export.formats import (
     FORMATS,
     JSON_LINES,
     check_export_name,
-    check_format,
     format_suffix,
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
@@ -93,7 +92,6 @@ def _export(source: Path, arguments: argparse.Namespace) -> Export:
 
 
 def _export_to(path: Path | None, suffix: str, crops: Path | None, arguments: argparse.Namespace) -> Export:
-    check_format(suffix)
     return Export(
         path=path,
         suffix=suffix,

@@ -19,12 +19,12 @@ examples:
   detect_bag drive.mp4 --output drive.csv --crops
   detect_bag 'drives/*' --output found --jobs 4 --set weights=best.pt
 
-The suffix of --output selects the format: .jsonl (JSON lines), .json (COCO), .csv, .parquet or .yolo (a
-folder of YOLO text). Without one of these, a recording becomes a recording, and images and videos JSON lines.
+The suffix of --output selects the format: .jsonl (JSON lines), .json (COCO), .csv or .yolo (a folder of YOLO
+text). Without one of these, a recording becomes a recording, and images and videos JSON lines.
 
 With many recordings or videos (several paths, a quoted pattern, or a folder of them), PATH is a folder. It
-gets a folder for each, and summary.json and summary.parquet with the detection counts. Run again, the same
-command does only what is missing. If a recording fails, the others go on; the exit code is then 3.
+gets a folder for each, and summary.json with the detection counts. Run again, the same command does only what
+is missing. If a recording fails, the others go on; the exit code is then 3.
 """
 
 

@@ -24,7 +24,6 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
         "onnxruntime": "onnxruntime",
         "openvino": "openvino",
         "prometheus_client": "prometheus-client",
-        "pyarrow": "pyarrow",
         "pycocotools": "pycocotools",
         "pydantic": "pydantic",
         "pydantic_core": "pydantic-core",

@@ -10,7 +10,6 @@ import time
 from pathlib import Path
 
 import pytest
-from pyarrow import parquet
 from support.detected_offline import SET_MODEL, run
 from support.many_recordings import (
     LONG,
@@ -69,7 +68,7 @@ def test_each_result_is_that_of_a_single_run(drives: Path, found: Path, tmp_path
     lines = tmp_path / "film.jsonl"
     assert run([str(drives / "film.avi"), "--output", str(lines), "--track", *SET_MODEL]) == 0
     assert (found / "film" / "detections.jsonl").read_text() == lines.read_text()
-    results = {*LENGTHS, "film", "summary.json", "summary.parquet"}
+    results = {*LENGTHS, "film", "summary.json"}
     assert {path.name for path in found.iterdir()} == results
 
 
@@ -85,15 +84,6 @@ def test_the_summary_counts_what_the_results_hold(found: Path) -> None:
     south = rows(found)["south"]
     assert south["state"] == "failed"
     assert "the recording cannot be read" in south["reason"]
-
-
-def test_the_table_has_the_rows_of_the_summary(found: Path) -> None:
-    table = {row["recording"]: row for row in parquet.read_table(found / "summary.parquet").to_pylist()}
-    for name, row in rows(found).items():
-        detections = row.pop("detections")
-        for class_name in CLASS_NAMES:
-            assert table[name].pop(f"detections/{class_name}") == detections.get(class_name)
-        assert table[name] == {**row, "detections": sum(detections.values()) if detections else None}
 
 
 def test_a_second_run_does_only_what_is_missing(

@@ -1,4 +1,4 @@
-"""How far a run over many recordings is, and its summary: a row for each, as JSON and as a Parquet table."""
+"""How far a run over many recordings is, and its summary: a JSON file with a row for each."""
 
 from __future__ import annotations
 
@@ -10,23 +10,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from yolov5_lifecycle.atomic_file import OutputError, atomic_write, write_together
+from yolov5_lifecycle.atomic_file import OutputError, atomic_write
 from yolov5_lifecycle.offline.detecting import RunStatistics
 from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, State
 from yolov5_lifecycle.offline.terminal import report
-from yolov5_lifecycle.process.missing_package import absence_of
 
-JSON_NAME, PARQUET_NAME = "summary.json", "summary.parquet"
-CLASS_COLUMN = "detections/"
-"""Prefix of the columns of classes in the table."""
+JSON_NAME = "summary.json"
 _BEGIN = b'{\n "weights": "'
 _COUNTED = tuple(RunStatistics(0).counts)
 """Columns of a row that are summed up for all recordings."""
-_TYPES = dict.fromkeys(RecordingResult.model_fields, "string") | {
-    **dict.fromkeys((*_COUNTED, "detections"), "int64"),
-    "seconds": "float64",
-}
-"""Of the columns of the table, in their order."""
 
 
 class Batch:
@@ -93,23 +85,14 @@ class Batch:
 
 
 def check_summary(folder: Path) -> None:
-    """Raise OutputError if `folder` has a file of another program where the summary will be.
-
-    The table is written after the JSON file: without that it belongs to another program.
-    """
-    files = [folder / JSON_NAME, folder / PARQUET_NAME]
-    if files[0].is_file() and files[0].read_bytes().startswith(_BEGIN):
-        return
-    for file in files:
-        if os.path.lexists(file):
-            raise OutputError(f"{file} is not a summary of detect_bag: move it, or choose another --output.")
+    """Raise OutputError if `folder` has a file of another program where the summary will be."""
+    file = folder / JSON_NAME
+    if os.path.lexists(file) and not (file.is_file() and file.read_bytes().startswith(_BEGIN)):
+        raise OutputError(f"{file} is not a summary of detect_bag: move it, or choose another --output.")
 
 
-def write_summary(plan: Plan, batch: Batch, order: Sequence[str]) -> str:
-    """Write both files, with rows in `order`; returns why the table was left out, or "". Raises OSError.
-
-    They replace those of an earlier run when both are whole.
-    """
+def write_summary(plan: Plan, batch: Batch, order: Sequence[str]) -> None:
+    """Write the file, with rows in `order`, in place of that of an earlier run. Raises OSError."""
     rows = [batch.results[name] for name in order]
     content = {
         "weights": plan.settings.weights,
@@ -122,29 +105,4 @@ def write_summary(plan: Plan, batch: Batch, order: Sequence[str]) -> str:
         "results": [row.model_dump() for row in rows],
     }
     text = json.dumps(content, indent=1, ensure_ascii=False).encode("utf-8", "backslashreplace") + b"\n"
-    json_file, table = plan.output / JSON_NAME, plan.output / PARQUET_NAME
-    if absence := absence_of("pyarrow"):
-        atomic_write(json_file, text)
-        table.unlink(missing_ok=True)  # it would be that of an earlier run
-        return f"{PARQUET_NAME} was not written, only {JSON_NAME}: {absence}"
-    write_together({json_file: text, table: _parquet(rows)})
-    return ""
-
-
-def _parquet(results: Sequence[RecordingResult]) -> bytes:
-    """A table with a column for each class; a recording that failed has no values in those."""
-    import pyarrow
-    from pyarrow import parquet
-
-    classes = dict.fromkeys(f"{CLASS_COLUMN}{name}" for result in results for name in result.detections)
-    schema = pyarrow.schema(list((_TYPES | dict.fromkeys(classes, "int64")).items()))
-    sink = pyarrow.BufferOutputStream()
-    parquet.write_table(pyarrow.Table.from_pylist(list(map(_table_row, results)), schema), sink)
-    content: bytes = sink.getvalue().to_pybytes()
-    return content
-
-
-def _table_row(result: RecordingResult) -> dict[str, object]:
-    total = None if result.state == "failed" else sum(result.detections.values())
-    by_class = {f"{CLASS_COLUMN}{name}": count for name, count in result.detections.items()}
-    return {**result.model_dump(), **by_class, "detections": total}
+    atomic_write(plan.output / JSON_NAME, text)

@@ -49,8 +49,7 @@ def detect_recordings(
         check_summary(plan.output)
         if waiting := [source for source in sources if source.name not in batch.results]:
             _Run(plan, new_workers(len(waiting)), batch, terminal).run(waiting)
-        if problem := write_summary(plan, batch, [source.name for source in sources]):
-            terminal.tell(problem)
+        write_summary(plan, batch, [source.name for source in sources])
     return batch
 
 
