@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import os
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,7 +15,6 @@ from support.grey_images import grey_folder
 from support.recorded_scene import COUNT, images, raw, record, text, video
 
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.detect_recording import os_errors
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
@@ -82,10 +79,6 @@ def many(folder: Path) -> Path:
     for name in ("drives/a.mcap", "drives/b.mcap", "bag.mcap"):
         (folder / name).touch()
     return folder / "drives"
-
-
-def in_sqlite(folder: Path) -> Path:
-    return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=SQLITE)
 
 
 def grey_image(folder: Path) -> Path:
@@ -251,9 +244,6 @@ def limited(max_bytes: int, *words: object) -> subprocess.CompletedProcess[str]:
         pytest.param(
             a_good_one, 100_000, ["--images", "--output", "found"], "File too large", id="recording, MCAP"
         ),
-        pytest.param(
-            in_sqlite, 100_000, ["--images", "--output", "found"], "disk I/O error: '", id="recording, SQLite"
-        ),
         # Small enough for the buffer of a C program, which then fails only when it closes the file.
         pytest.param(grey_image, 20, ["--annotated", "drawn.jpg"], "File too large", id="JPEG"),
         pytest.param(grey_image, 20, ["--annotated", "drawn.tif"], "File too large", id="TIFF"),
@@ -285,13 +275,3 @@ def test_an_output_that_cannot_be_written_leaves_nothing(
     assert told in ended.stderr
     assert "Traceback" not in ended.stderr
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_a_full_disk_is_one_in_sqlite_too(tmp_path: Path) -> None:
-    with sqlite3.connect(tmp_path / "small.db3") as connection:
-        connection.execute("PRAGMA max_page_count = 2")
-        connection.execute("CREATE TABLE messages(data BLOB)")
-        with pytest.raises(OSError, match=r"small\.db3") as raised, os_errors(tmp_path / "small.db3"):
-            connection.execute("INSERT INTO messages VALUES(zeroblob(1000000))")
-    connection.close()
-    assert raised.value.errno == errno.ENOSPC

@@ -15,7 +15,6 @@ from typing import Any
 
 from backports import zstd
 from pydantic import BaseModel, Field, NonNegativeInt, ValidationError
-from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -168,12 +167,6 @@ class Recording:
         self.path = path
         self._storages = storages
         self._claimed = claimed
-
-    @property
-    def storage(self) -> StoragePlugin:
-        """The storage format of its files."""
-        is_mcap = any(isinstance(storage, McapFile) for storage in self._storages)
-        return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
     def image_topic(self, name: str | None = None) -> StoredTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from yolov5_lifecycle.atomic_file import whole_output
+from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics, prepared_for
 from yolov5_lifecycle.offline.export.exporting import write_files
@@ -18,9 +19,7 @@ from yolov5_lifecycle.offline.many_recordings.results import (
     Record,
     RecordingResult,
     finished_before,
-    is_replaceable,
     recording_digest,
-    result_bytes,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
@@ -85,7 +84,12 @@ class RecordingTask:
         if (finished := finished_before(source, self._plan)) is not None:
             return finished  # perhaps by a worker that was then killed
         target, digest = self._plan.output / source.name, recording_digest(source.path)
-        with whole_output(target, replace=is_replaceable(target)) as unfinished:
+        if os.path.lexists(target):
+            raise OutputError(
+                f"{target} exists and is not replaced, as it was made from other weights, settings or files: "
+                "remove it, or choose another --output."
+            )
+        with whole_output(target) as unfinished:
             statistics = self._detect(source.path, unfinished)
             result = RecordingResult(
                 recording=source.name,
@@ -101,7 +105,6 @@ class RecordingTask:
                 weights_sha256=self._plan.settings.weights_sha256,
                 settings_sha256=self._plan.settings_sha256,
                 recording_sha256=digest,
-                result_bytes=result_bytes(unfinished),
                 result=result,
             ).write(unfinished)
             if recording_digest(source.path) != digest:

@@ -11,10 +11,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
-from yolov5_lifecycle.atomic_file import OutputError, atomic_write
 from yolov5_lifecycle.checkpoints.locate import weights_digest
 from yolov5_lifecycle.detection.prepared_model import weights_path
-from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
 from yolov5_lifecycle.quantization.calibration_file import calibration_digest
@@ -99,7 +97,7 @@ class RecordingResult(BaseModel):
 
 
 class Record(BaseModel):
-    """What a finished result was made from, its files, and its row of the summary."""
+    """What a finished result was made from, and its row of the summary."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -107,67 +105,23 @@ class Record(BaseModel):
     settings_sha256: str
     recording_sha256: str
     """See `recording_digest`."""
-    result_bytes: dict[str, int]
-    """Size of each of its files."""
     result: RecordingResult
 
     def write(self, folder: Path) -> None:
-        atomic_write(folder / RECORD_NAME, self.model_dump_json(indent=1).encode() + b"\n", is_durable=False)
-
-
-def read_record(folder: Path) -> Record | None:
-    """The record of the result in `folder`; None if there is none that is valid and of that name."""
-    try:
-        record = Record.model_validate_json((folder / RECORD_NAME).read_bytes())
-    except (OSError, ValidationError):
-        return None
-    return record if record.result.recording == folder.name else None
+        (folder / RECORD_NAME).write_text(self.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
 def finished_before(source: SourceRecording, plan: Plan) -> RecordingResult | None:
-    """The row of a recording whose result is whole and was made from the same; None if there is none."""
-    folder = plan.output / source.name
-    if (record := read_record(folder)) is None:
-        return None
-    wanted = plan.settings.weights_sha256, plan.settings_sha256
+    """The row of a recording whose result was made from the same; None if there is none."""
     try:
-        is_same = (
-            (record.weights_sha256, record.settings_sha256) == wanted
-            and record.recording_sha256 == recording_digest(source.path)
-            and record.result_bytes.items() <= result_bytes(folder).items()
-        )
-    except OSError:
+        record = Record.model_validate_json((plan.output / source.name / RECORD_NAME).read_bytes())
+        digest = recording_digest(source.path)
+    except (OSError, ValidationError):
         return None
-    return (
-        record.result.model_copy(update={"state": "skipped", "path": str(source.path)}) if is_same else None
-    )
-
-
-def is_replaceable(folder: Path) -> bool:
-    """Whether `folder` is an earlier result, False if it does not exist.
-
-    Raises OutputError if it has something that is not of `detect_bag`, and OSError.
-    """
-    if not folder.exists():
-        return False
-    if (record := read_record(folder)) is None:
-        raise OutputError(f"{folder} exists and has no record of detect_bag: move or remove it.")
-    if added := sorted(result_bytes(folder).keys() - record.result_bytes.keys()):
-        raise OutputError(
-            f"{folder} is not replaced because it also contains {', '.join(added)}: move that elsewhere."
-        )
-    return True
-
-
-def result_bytes(folder: Path) -> dict[str, int]:
-    """Size of each file or folder in the result `folder`, without the record; raises OSError."""
-    return {
-        path.name: sum(file.lstat().st_size for file in FolderTree().files(path))
-        if path.is_dir()
-        else path.lstat().st_size
-        for path in folder.iterdir()
-        if path.name != RECORD_NAME
-    }
+    wanted = plan.settings.weights_sha256, plan.settings_sha256, digest
+    if (record.weights_sha256, record.settings_sha256, record.recording_sha256) != wanted:
+        return None
+    return record.result.model_copy(update={"state": "skipped", "path": str(source.path)})
 
 
 def recording_digest(recording: Path) -> str:
