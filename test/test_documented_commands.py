@@ -24,7 +24,7 @@ from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE, STEPS, environment
 from support.evaluated_offline import labelled_drive
-from support.file_server import FileServer, sending_ranges
+from support.file_server import FileServer, sending
 from support.pages import (
     PAGES,
     TOPICS,
@@ -46,13 +46,12 @@ from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 OF_OTHERS = (
-    *("sudo", "git", "cd", "mkdir", "source", "export", "pixi", "docker", "podman", "ray", "journalctl"),
+    *("sudo", "git", "cd", "mkdir", "source", "export", "pixi", "docker", "podman", "journalctl"),
     *("rviz2", "python3", ".venv/bin/python -c", "~/yolov5_venv/bin/", "~/yolov5_release/bin/"),
     *("ros2 run rqt_image_view", "ros2 run tf2_ros", "ros2 run nav2_lifecycle_manager", "ros2 security"),
 )
 """How the commands of other programs begin."""
 NOT_RUN = {
-    "detect_bag --ray ": "needs a Ray cluster; test/offline/many_recordings/test_ray_cluster.py has one",
     "camera --ros-args -p source:=0 ": "needs a webcam",
     "camera --ros-args -p source:=rtsp:": "needs a network camera; test_network_stream.py has one of HTTP",
     'camera --ros-args -p "source:=v4l2src ': "needs a webcam and GStreamer",
@@ -226,7 +225,7 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def _mirror(checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The official models come from this machine."""
-    with FileServer(sending_ranges(checkpoint)) as server:
+    with FileServer(sending(checkpoint)) as server:
         monkeypatch.setenv("YOLOV5_WEIGHTS_URL", f"{server.address}/yolov5{{size}}.pt")
         digest = hashlib.sha256(checkpoint).hexdigest()
         monkeypatch.setattr(fetch_weights, "SHA256", dict.fromkeys(fetch_weights.SHA256, digest))
