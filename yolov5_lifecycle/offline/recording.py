@@ -150,9 +150,9 @@ class RecordedMessage:
 
     @property
     def stem(self) -> str:
-        """The name of files about it: its stamp, which others may have, too; raises ImageError."""
+        """The name of files about it: its stamp, which others may have, and number; raises ImageError."""
         seconds, nanoseconds = self.stamp
-        return f"{seconds}_{nanoseconds:09}"
+        return f"{seconds}_{nanoseconds:09}_frame_{self.number:06}"
 
     def load(self) -> ColourImage:
         """The pixels of an image message; raises ImageError."""

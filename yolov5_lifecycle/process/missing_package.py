@@ -27,7 +27,6 @@ PIP_PACKAGES: Mapping[str, str] = MappingProxyType(
         "pycocotools": "pycocotools",
         "pydantic": "pydantic",
         "pydantic_core": "pydantic-core",
-        "ray": "ray",
         "rosbags": "rosbags",
         "safetensors": "safetensors",
         "scipy": "scipy",

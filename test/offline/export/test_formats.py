@@ -193,7 +193,7 @@ def test_an_interrupted_export_leaves_nothing(
 ) -> None:
     path = SOURCES[source](tmp_path)
     monkeypatch.setattr(Terminal, "progress", Mock(side_effect=[None, KeyboardInterrupt]))
-    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]) == 130
+    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 130
     assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -214,13 +214,12 @@ def test_images_of_one_stamp_are_told_apart(tmp_path: Path) -> None:
         taken[number].header.stamp.sec = taken[number].header.stamp.nanosec = 0
     source = record(tmp_path / "drive", taken, storage=StoragePlugin.MCAP)
     for suffix in (".json", ".yolo"):
-        words = ["--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]
-        assert run([str(source), *words, *(["--crops"] if suffix == ".yolo" else [])]) == 0
-    told = ["0_000000000", "0_000000000_frame_000001", "0_000000000_frame_000003", "1700000002_000000009"]
-    assert {file.name.rpartition("_")[0] for file in tmp_path.rglob("*.jpg")} == set(told)
-    assert sorted(file.stem for file in (tmp_path / "found.yolo" / "labels").iterdir()) == told
+        assert run([str(source), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 0
+    stamps = ["0_000000000", "0_000000000", "1700000002_000000009", "0_000000000"]
+    told = [f"{stamp}_frame_{number:06}" for number, stamp in enumerate(stamps)]
+    assert sorted(file.stem for file in (tmp_path / "found.yolo" / "labels").iterdir()) == sorted(told)
     content = json.loads((tmp_path / "found.json").read_text())
-    assert sorted(one["file_name"] for one in content["images"]) == told
+    assert [one["file_name"] for one in content["images"]] == told
     assert [one["frame"] for one in content["images"]] == [0, 1, 2, 3]
 
 

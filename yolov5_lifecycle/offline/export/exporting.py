@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
@@ -14,11 +13,10 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
-from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, JsonLines, check_stems
+from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, check_stems
 from yolov5_lifecycle.offline.export.image_outputs import (
     AnnotatedImages,
     AnnotatedVideo,
-    Crops,
     check_video_name,
 )
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
@@ -34,8 +32,6 @@ class Export:
     """Its format in FORMATS; "" stands for a recording."""
     masks: bool = True
     """Whether to write the masks of a segmentation model, if the format has some."""
-    crops: Path | None = None
-    """New folder for an image of each detection."""
     annotated: Path | None = None
     """New annotated images or video: a folder if the source is one, else a file."""
     topic: str | None = None
@@ -55,21 +51,11 @@ class Export:
     def whole(self) -> Iterator[Export]:
         """With temporary paths, which are renamed when the block succeeds, see `whole_output`."""
         with ExitStack() as stack:
-            path, crops, annotated = (
+            path, annotated = (
                 stack.enter_context(whole_output(output)) if output else None
-                for output in (self.path, self.crops, self.annotated)
+                for output in (self.path, self.annotated)
             )
-            yield replace(self, path=path, crops=crops, annotated=annotated)
-
-    def sinks(self, detector: OfflineDetector) -> Iterator[Sink]:
-        """Open the outputs for detections of `detector`, except a recording and drawings; raises OSError."""
-        names = detector.class_names
-        if self.crops is not None:
-            yield Crops(self.crops, names)
-        if self.path is None:
-            yield JsonLines(None, names, masks=self.masks)
-        elif self.suffix:
-            yield FORMATS[self.suffix](self.path, names, masks=self.masks)
+            yield replace(self, path=path, annotated=annotated)
 
 
 def write_files(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
@@ -103,18 +89,19 @@ def export_images(
     Raises OutputError, OSError, DetectingError and what `load` raises; then the outputs are damaged.
     """
     detector = load()
-    names: dict[str, int] = {}
+    sinks: list[Sink] = []
+
+    def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
+        found = DetectedImage(named, image, detections)
+        for sink in sinks:
+            sink.add(found)
+
     with ExitStack() as stack:
-        sinks = []
-        for sink in chain([further(detector)] if further else [], export.sinks(detector)):
-            stack.callback(sink.close)
-            sinks.append(sink)
-
-        def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
-            found = DetectedImage(named, image, detections, names)
-            for sink in sinks:
-                sink.add(found)
-
+        if further is not None:
+            sinks.append(stack.enter_context(closing(further(detector))))
+        if export.suffix:
+            new = FORMATS[export.suffix](export.path, detector.class_names, masks=export.masks)
+            sinks.append(stack.enter_context(closing(new)))
         statistics = detector.run(images, expected=expected, write=write)
         for sink in sinks:
             sink.finish()

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 import yaml
 
 from yolov5_lifecycle.atomic_file import OutputError
@@ -26,20 +27,30 @@ COLUMNS = (
 
 
 class Format(Sink):
-    """A format of exported detections, written to a new file or folder."""
+    """A format of exported detections."""
 
     description: str
     has_masks = False
     has_ids = True
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        """`masks`: whether to write the masks of a segmentation model, if the format has some."""
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
+        """Write to the new file `path`, or to stdout.
+
+        `masks`: whether to write the masks of a segmentation model, if the format has some.
+        """
         self._class_names = class_names
         self._masks = masks
+        self._file = (
+            sys.stdout if path is None else path.open("w", encoding="utf-8", errors="backslashreplace")
+        )
+
+    def close(self) -> None:
+        if self._file is not sys.stdout:
+            self._file.close()
 
 
 class JsonLines(Format):
-    """Writes a line for each image to the new file `path`, or to stdout.
+    """Writes a line for each image.
 
     A line has the identity of the image, its size and its detections, boxes in image pixels. With `masks`
     each detection that has a mask gets it as COCO's RLE of the whole image.
@@ -47,11 +58,6 @@ class JsonLines(Format):
 
     description = "JSON lines"
     has_masks = True
-
-    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
-        self._class_names = class_names
-        self._masks = masks
-        self._file = None if path is None else path.open("w", encoding="utf-8")
 
     def add(self, found: DetectedImage) -> None:
         height, width = found.image.size_hw
@@ -63,11 +69,7 @@ class JsonLines(Format):
             if self._masks and (mask := found.mask(row)) is not None:
                 objects[row]["mask"], _ = mask
         content = {**found.named.identity, "width": width, "height": height, "detections": objects}
-        (self._file or sys.stdout).write(json.dumps(content) + "\n")
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
+        self._file.write(json.dumps(content) + "\n")
 
 
 class CocoJson(Format):
@@ -79,11 +81,10 @@ class CocoJson(Format):
     description = "COCO"
     has_masks = True
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
         super().__init__(path, class_names, masks=masks)
         self._images: list[str] = []
         self._objects = 0
-        self._file = path.open("w", encoding="utf-8")
         self._file.write('{"annotations": [')
 
     def add(self, found: DetectedImage) -> None:
@@ -99,14 +100,11 @@ class CocoJson(Format):
         self._file.write(f'],\n"images": [\n{images}],\n"categories": {json.dumps(categories)}}}\n')
         self.close()
 
-    def close(self) -> None:
-        self._file.close()
-
     def _image(self, found: DetectedImage) -> dict[str, object]:
         height, width = found.image.size_hw
         identity = dict(found.named.identity)
         file = identity.pop("file", None)
-        name = found.name if file is None else Path(str(file)).name
+        name = found.named.stem if file is None else Path(str(file)).name
         return {"id": len(self._images) + 1, "file_name": name, "width": width, "height": height, **identity}
 
     def _annotation(self, found: DetectedImage, row: int) -> dict[str, object]:
@@ -132,9 +130,8 @@ class CsvTable(Format):
 
     description = "CSV"
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
         super().__init__(path, class_names, masks=masks)
-        self._file = path.open("w", encoding="utf-8", errors="backslashreplace", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._has_header = False
 
@@ -149,12 +146,9 @@ class CsvTable(Format):
             row = (width, height, class_id, one.class_name, one.score, *one.box_xyxy, one.track_id)
             self._writer.writerow((*identity.values(), *row))
 
-    def close(self) -> None:
-        self._file.close()
-
 
 class YoloFolder(Format):
-    """Writes `labels/<image>.txt` for each image, and `data.yaml` with the classes.
+    """Writes `labels/<image>.txt` for each image to the new folder `path`, and `data.yaml` with the classes.
 
     An image without detections has an empty file. The data set is complete once its images are in `images`.
     """
@@ -162,13 +156,13 @@ class YoloFolder(Format):
     description = "a folder of YOLO text"
     has_ids = False
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        super().__init__(path, class_names, masks=masks)
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
+        assert path is not None
         self._labels = path / "labels"
         self._labels.mkdir(parents=True)
+        super().__init__(path / "data.yaml", class_names, masks=masks)
         description = {"train": "images", "val": "images", "names": dict(enumerate(class_names))}
-        text = yaml.safe_dump(description, allow_unicode=True, sort_keys=False)
-        (path / "data.yaml").write_text(text, encoding="utf-8")
+        yaml.safe_dump(description, self._file, allow_unicode=True, sort_keys=False)
 
     def add(self, found: DetectedImage) -> None:
         lines = "".join(
@@ -177,7 +171,7 @@ class YoloFolder(Format):
                 found.detections.class_ids.tolist(), _relative_boxes(found), strict=True
             )
         )
-        with (self._labels / f"{found.name}.txt").open("x", encoding="ascii") as file:
+        with (self._labels / f"{found.named.stem}.txt").open("x", encoding="ascii") as file:
             file.write(lines)
 
 
@@ -192,11 +186,12 @@ def check_stems(images: Sequence[NamedImage]) -> None:
 
 
 def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, float]]:
-    """Centre, width and height of each box inside the image, as shares of the image."""
+    """Centre, width and height of the part of each box inside the image, as shares of the image."""
     height, width = found.image.size_hw
+    inside = np.clip(found.detections.boxes_xyxy, 0, np.array((width, height, width, height), np.float32))
     return [
         ((x1 + x2) / 2 / width, (y1 + y2) / 2 / height, (x2 - x1) / width, (y2 - y1) / height)
-        for x1, y1, x2, y2 in found.inside_xyxy.tolist()
+        for x1, y1, x2, y2 in inside.tolist()
     ]
 
 

@@ -42,13 +42,12 @@ class RecordingTask:
     """
 
     def __init__(self, plan: Plan, on_image: OnImage, *, prepare: Prepare = prepare_model) -> None:
-        self._plan = plan
         self._on_image = on_image
         self._first_problem = ""
         self._prepared = prepared_for(plan.settings, prepare)
-        self.runtime = self._prepared.detector.runtime.name
-        self.precision = self._prepared.detector.runtime.precision
-        self._detector()  # refuses classes that the model does not have
+        runtime = self._prepared.detector.runtime
+        self.plan = plan.chosen(runtime.name, runtime.precision)
+        self._detector()  # what is missing for these settings is told now, once
 
     def run(self, source: SourceRecording) -> RecordingResult | DetectingError:
         """Write the result of `source`, unless it exists; return its row, with the reason if that failed.
@@ -64,7 +63,7 @@ class RecordingTask:
             if isinstance(error.__cause__, DeviceLostError):
                 raise error.__cause__ from None
             if getattr(error, "errno", None) in _NO_ROOM:
-                return DetectingError(in_lines(f"{self._plan.output}: {error}"))
+                return DetectingError(in_lines(f"{self.plan.output}: {error}"))
             return RecordingResult(
                 recording=source.name,
                 path=str(source.path),
@@ -81,9 +80,9 @@ class RecordingTask:
         self._on_image(statistics.outcomes.total())
 
     def _result(self, source: SourceRecording, begun_s: float) -> RecordingResult:
-        if (finished := finished_before(source, self._plan)) is not None:
+        if (finished := finished_before(source, self.plan)) is not None:
             return finished  # perhaps by a worker that was then killed
-        target, digest = self._plan.output / source.name, recording_digest(source.path)
+        target, digest = self.plan.output / source.name, recording_digest(source.path)
         if os.path.lexists(target):
             raise OutputError(
                 f"{target} exists and is not replaced, as it was made from other weights, settings or files: "
@@ -97,13 +96,13 @@ class RecordingTask:
                 state="done",
                 first_problem=self._first_problem,
                 seconds=round(time.monotonic() - begun_s, 3),
-                runtime=self.runtime,
+                runtime=self.plan.settings.runtime,
                 detections={name: statistics.objects[name] for name in self._prepared.detector.class_names},
                 **statistics.counts,
             )
             Record(
-                weights_sha256=self._plan.settings.weights_sha256,
-                settings_sha256=self._plan.settings_sha256,
+                weights_sha256=self.plan.settings.weights_sha256,
+                settings_sha256=self.plan.settings_sha256,
                 recording_sha256=digest,
                 result=result,
             ).write(unfinished)
@@ -112,13 +111,12 @@ class RecordingTask:
         return result
 
     def _detect(self, source: Path, unfinished: Path) -> RunStatistics:
-        export = self._plan.export
+        export = self.plan.export
         suffix = export.suffix or (JSON_LINES if is_video(source) else "")
         if suffix:
             unfinished.mkdir()
         path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
-        crops = unfinished / export.crops if export.crops else None
-        export = replace(export, path=path, suffix=suffix, crops=crops)
+        export = replace(export, path=path, suffix=suffix)
         if is_video(source):
             return write_files(source, export, self._detector)
         # Imported here: videos do not need rosbags.
@@ -129,5 +127,5 @@ class RecordingTask:
     def _detector(self) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
         return OfflineDetector(
-            self._plan.settings, self._prepared, self, with_masks=self._plan.export.needs_masks
+            self.plan.settings, self._prepared, self, with_masks=self.plan.export.needs_masks
         )
