@@ -63,6 +63,8 @@ def fetch(
         try:
             with unfinished.open("wb") as file:
                 download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+                file.flush()
+                os.fsync(file.fileno())
         except DownloadError as error:
             raise DownloadError(f"{error}. Or copy {target.name} into {folder} by other means.") from None
         found = _checked(unfinished, url, sha256)
@@ -70,6 +72,7 @@ def fetch(
 
 
 def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
+    """The downloaded model; raises WeightsError, which names `url`."""
     try:
         found = load_weights(path)  # why it is no model, as a login page is none, says more than its digest
         return load_weights(path, sha256=sha256) if sha256 else found

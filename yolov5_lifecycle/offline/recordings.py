@@ -20,7 +20,6 @@ _VIDEO_SUFFIXES = (
     *(".3gp", ".avi", ".flv", ".m2ts", ".m4v", ".mkv", ".mov", ".mp4"),
     *(".mpeg", ".mpg", ".ogv", ".webm", ".wmv"),
 )
-_MAX_TOLD = 5
 
 
 @dataclass(frozen=True)
@@ -113,17 +112,13 @@ def _name(path: Path) -> str:
 
 
 def _check_names(found: Sequence[SourceRecording]) -> None:
-    by_name: dict[str, list[Path]] = {}
+    by_name: dict[str, SourceRecording] = {}
     for recording in found:
-        by_name.setdefault(recording.name, []).append(recording.path)
-    same = [paths for paths in by_name.values() if len(paths) > 1]
-    if same:
-        told = "".join(f"\n  {', '.join(map(str, paths[:_MAX_TOLD]))}" for paths in same[:_MAX_TOLD])
-        raise SourceError(
-            f"{len(same)} name(s) belong to several recordings or videos, so their results would have the "
-            f"same name; use a separate run and --output for each, or rename them:{told}"
-        )
-    for recording in found:
+        if (other := by_name.setdefault(recording.name, recording)) is not recording:
+            raise SourceError(
+                f"{other.path} and {recording.path}: their results would have the same name; use a separate "
+                "run and --output for each, or rename one."
+            )
         is_reserved = recording.name.startswith("summary.") or not recording.name.strip(".")
         if is_reserved or not is_utf8(str(recording.path)):
             raise SourceError(f"{recording.path}: its result cannot have that name; rename the recording.")

@@ -16,8 +16,7 @@ from support.many_recordings import plan_for
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
-from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult
-from yolov5_lifecycle.offline.many_recordings.summary import Batch
+from yolov5_lifecycle.offline.many_recordings.results import Batch, Plan, RecordingResult
 from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, detect_recordings
 from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import SourceRecording

@@ -13,8 +13,14 @@ from queue import Empty, SimpleQueue
 
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, finished_before
-from yolov5_lifecycle.offline.many_recordings.summary import Batch, check_summary, write_summary
+from yolov5_lifecycle.offline.many_recordings.results import (
+    Batch,
+    Plan,
+    RecordingResult,
+    check_summary,
+    finished_before,
+    write_summary,
+)
 from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images
