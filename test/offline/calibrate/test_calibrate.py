@@ -112,6 +112,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         cv2.imwrite(str(images / f"{number}.png"), rng.integers(0, 256, (48, 64, 3), np.uint8))
     (images / "broken.png").write_bytes(b"no image")
     (folder / "empty").mkdir()
+    (folder / "data.yaml").touch()
     return folder
 
 
@@ -143,6 +144,9 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
         pytest.param(["best.safetensors", "nowhere"], "nowhere: file or folder not found", id="no data"),
         pytest.param(["nowhere.pt", "images"], "nowhere.pt", id="no weights"),
         pytest.param(["best.safetensors", "empty"], "empty", id="no images"),
+        pytest.param(
+            ["best.safetensors", "data.yaml"], "of a data set, give the folder of its images", id="data set"
+        ),
         pytest.param(
             ["best.safetensors", "images", "--topic", "/x"],
             "--topic does not apply to ",

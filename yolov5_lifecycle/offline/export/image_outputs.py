@@ -102,7 +102,8 @@ class AnnotatedVideo(Sink):
         writer = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size_hw[::-1])
         if not writer.isOpened():
             raise OutputError(
-                f"{self._path.name}: this OpenCV build cannot write videos; install opencv-python-headless."
+                f"{self._path.name}: OpenCV cannot write an .mp4 of {self._rate_hz:g} frames per second. "
+                "Install opencv-python-headless, or convert the source to another rate with FFmpeg."
             )
         return writer
 

@@ -1,13 +1,17 @@
-"""Detection in one recording after the other with one model."""
+"""Detection in one recording after the other with one model, and the worker process that does it."""
 
 from __future__ import annotations
 
 import errno
 import os
+import signal
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any, NoReturn
 
 from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
@@ -23,7 +27,8 @@ from yolov5_lifecycle.offline.many_recordings.results import (
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.process.standard_streams import complain
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -129,3 +134,31 @@ class RecordingTask:
         return OfflineDetector(
             self.plan.settings, self._prepared, self, with_masks=self.plan.export.needs_masks
         )
+
+
+def main(descriptor: int) -> NoReturn:
+    """Work for the other end of the socket with this `descriptor`, until that is closed."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    os.set_inheritable(descriptor, False)
+    try:
+        _serve(Connection(descriptor))
+    except (EOFError, ConnectionError):
+        pass  # nobody waits for the results any more
+    except Exception as error:  # noqa: BLE001 - whatever it is, the process ends
+        complain("detect_bag", f"a worker ends: {type(error).__name__}: {error}")
+    finally:
+        os._exit(1)  # freeing a model takes longer than ending
+
+
+def _serve(connection: Connection[Any, Any]) -> None:
+    """Answer a plan with what was chosen for it, and then each recording with its result."""
+    plan = connection.recv()
+    try:
+        task = RecordingTask(plan, connection.send)
+    except (ValueError, OSError, ImportError, InferenceError) as error:
+        connection.send(DetectingError(in_lines(str(error) or type(error).__name__)))
+        return
+    connection.send(task.plan)
+    while True:
+        connection.send(task.run(connection.recv()))

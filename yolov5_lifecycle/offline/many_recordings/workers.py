@@ -1,29 +1,27 @@
-"""Worker processes of this machine, each with one model, for one recording at a time.
-
-Importing this module imports neither numpy nor torch, for which a worker first prepares its environment.
-"""
+"""Worker processes of this machine, each with one model, for one recording at a time."""
 
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
-from multiprocessing.connection import Connection, Pipe
+from multiprocessing.connection import Pipe
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any
 
+from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage, main
+from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult
+from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.process.environment import compute_threads, prepare_environment
 from yolov5_lifecycle.process.memory import available_bytes
-from yolov5_lifecycle.process.standard_streams import complain
-
-if TYPE_CHECKING:
-    from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
-    from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult
-    from yolov5_lifecycle.offline.recordings import SourceRecording
 
 # The path of this process; `-m` would search the current folder first, which may be one of recordings.
-_PROGRAM = "import sys; sys.path[:] = {path!r}; from {module} import main; main({descriptor})"
+# `main` needs torch, for which the environment must be prepared.
+_PROGRAM = (
+    "import sys; sys.path[:] = {path!r}; "
+    f"from {prepare_environment.__module__} import prepare_environment; prepare_environment(); "
+    f"from {main.__module__} import main; main({{descriptor}})"
+)
 _THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """Variables for the number of threads of torch, which the runtimes follow, and of OpenCV."""
 _WORKER_BYTES = 1 << 30
@@ -55,7 +53,7 @@ class Worker:
             if self._is_stopped:
                 raise ChildProcessError("the worker was stopped")
             self._connection, other = Pipe()
-            program = _PROGRAM.format(path=sys.path, module=__name__, descriptor=other.fileno())
+            program = _PROGRAM.format(path=sys.path, descriptor=other.fileno())
             with other:
                 self.process = subprocess.Popen(
                     [sys.executable, "-c", program],
@@ -108,38 +106,3 @@ class Worker:
         if isinstance(answer, Exception):
             raise answer
         return answer
-
-
-def main(descriptor: int) -> NoReturn:
-    """Work for the other end of the socket with this `descriptor`, until that is closed."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda number, _: sys.exit(128 + number))
-    os.set_inheritable(descriptor, False)
-    try:
-        _serve(Connection(descriptor))
-    except (EOFError, ConnectionError):
-        pass  # nobody waits for the results any more
-    except Exception as error:  # noqa: BLE001 - whatever it is, the process ends
-        complain("detect_bag", f"a worker ends: {type(error).__name__}: {error}")
-    finally:
-        os._exit(1)  # freeing a model takes longer than ending
-
-
-def _serve(connection: Connection[Any, Any]) -> None:
-    """Answer a plan with what was chosen for it, and then each recording with its result."""
-    prepare_environment()
-    # Imported here: they import torch, for which the environment must be prepared.
-    from yolov5_lifecycle.offline.detecting import DetectingError
-    from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
-    from yolov5_lifecycle.printable import in_lines
-    from yolov5_lifecycle.runtimes.runtime import InferenceError
-
-    plan = connection.recv()
-    try:
-        task = RecordingTask(plan, connection.send)
-    except (ValueError, OSError, ImportError, InferenceError) as error:
-        connection.send(DetectingError(in_lines(str(error) or type(error).__name__)))
-        return
-    connection.send(task.plan)
-    while True:
-        connection.send(task.run(connection.recv()))
