@@ -182,7 +182,9 @@ def test_a_worker_that_cannot_load_the_model_ends_the_run(tmp_path: Path) -> Non
         return done(worker, source)
 
     scripted = ScriptedRun(tmp_path, 1, on_load=load, on_detect=detect)
-    with pytest.raises(DetectingError, match=r"it died while loading the model.*give a smaller --jobs"):
+    with pytest.raises(
+        DetectingError, match=r"another worker could not start: it died .*give a smaller --jobs"
+    ):
         scripted.run()
     assert all(worker.is_closed for worker in scripted.workers)
 

@@ -136,12 +136,20 @@ class _Run:
         try:
             while True:
                 if not is_loaded:
-                    _loaded(worker, self._plan)
+                    self._load_another(worker)
                 if (source := self._waiting.get()) is None:
                     return
                 is_loaded = self._detect(worker, source)
         except Exception as error:  # noqa: BLE001 - whatever it is, it ends the run
             self._ended.put(error)
+
+    def _load_another(self, worker: Worker) -> None:
+        try:
+            _loaded(worker, self._plan)
+        except DetectingError as error:
+            raise DetectingError(
+                f"another worker could not start: {error}. If memory is short, give a smaller --jobs."
+            ) from None
 
     def _detect(self, worker: Worker, source: SourceRecording) -> bool:
         """Whether `worker` still lives; if it died, another one begins `source` again, or it has failed."""
@@ -169,6 +177,4 @@ def _loaded(worker: Worker, plan: Plan) -> Plan:
     try:
         return worker.load(plan)
     except ChildProcessError as error:
-        raise DetectingError(
-            f"{error} while loading the model. If memory is short, give a smaller --jobs."
-        ) from None
+        raise DetectingError(f"{error} while loading the model") from None
