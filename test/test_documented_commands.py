@@ -24,7 +24,7 @@ from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.detector_process import NODE, STEPS, environment
 from support.evaluated_offline import labelled_drive
-from support.file_server import FileServer, sending
+from support.file_server import FileServer, sending_ranges
 from support.pages import (
     PAGES,
     TOPICS,
@@ -225,7 +225,7 @@ def home(tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def _mirror(checkpoint: bytes, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The official models come from this machine."""
-    with FileServer(sending(checkpoint)) as server:
+    with FileServer(sending_ranges(checkpoint)) as server:
         monkeypatch.setenv("YOLOV5_WEIGHTS_URL", f"{server.address}/yolov5{{size}}.pt")
         digest = hashlib.sha256(checkpoint).hexdigest()
         monkeypatch.setattr(fetch_weights, "SHA256", dict.fromkeys(fetch_weights.SHA256, digest))

@@ -17,12 +17,14 @@ from support.file_server import (
     ServedRequest,
     fetch_from,
     sending,
+    sending_ranges,
+    unfinished,
 )
 from support.random_model import CLASS_NAMES
 from support.small_families import SMALL_FAMILIES
 
-from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
+from yolov5_lifecycle.commands.download import DownloadError
 from yolov5_lifecycle.commands.fetch_weights import MODELS, SHA256, main
 from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.ros.child_process import entry_point
@@ -37,20 +39,20 @@ def folder(tmp_path: Path) -> Path:
 def test_the_file_of_the_size_comes_to_where_the_detector_looks(
     folder: Path, checkpoint: bytes, digest: str
 ) -> None:
-    with FileServer(sending(checkpoint)) as server:
+    with FileServer(sending_ranges(checkpoint)) as server:
         fetched = fetch_from(server, folder, sha256=digest)
-    assert server.requests == ["/releases/yolov5n.pt"]
+    assert server.requests == [("/releases/yolov5n.pt", "")]
     assert find_weights(weights="", weights_dir=folder, model_size="n") == fetched.path
     assert fetched.path.read_bytes() == checkpoint
     assert fetched.model.class_names == CLASS_NAMES
-    assert list(folder.iterdir()) == [fetched.path]
+    assert not unfinished(folder).exists()
 
 
 def test_a_model_that_segments_comes_under_its_own_name(folder: Path) -> None:
     model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
-    with FileServer(sending(saved(stripped(model)))) as server:
+    with FileServer(sending_ranges(saved(stripped(model)))) as server:
         fetched = fetch_from(server, folder, model="n-seg")
-    assert server.requests == ["/releases/yolov5n-seg.pt"]
+    assert server.requests == [("/releases/yolov5n-seg.pt", "")]
     assert fetched.path == folder / "yolov5n-seg.pt"
     assert fetched.model.architecture.mask_coefficients == 8
 
@@ -64,6 +66,27 @@ def test_a_file_that_is_there_is_not_asked_for_again(folder: Path, checkpoint: b
             fetch_from(server, folder, sha256="0" * 64)
     assert server.requests == []
     assert (folder / "yolov5n.pt").exists()
+
+
+@pytest.mark.parametrize("kind", ["link", "link to a pipe", "pipe", "folder"])
+def test_what_is_no_file_is_neither_written_nor_waited_for(
+    folder: Path, checkpoint: bytes, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder.mkdir(parents=True)
+    name = "yolov5n.partial.pt"
+    precious = folder.parent / "precious"
+    precious.write_bytes(b"precious")
+    os.mkfifo(folder.parent / "pipe")
+    if kind == "folder":
+        (folder / name).mkdir()
+    elif kind == "pipe":
+        os.mkfifo(folder / name)
+    else:
+        (folder / name).symlink_to(folder.parent / {"link": "precious", "link to a pipe": "pipe"}[kind])
+    with FileServer(sending(checkpoint)) as server:
+        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
+    assert str(folder / name) in capsys.readouterr().err
+    assert precious.read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize(
@@ -85,16 +108,13 @@ def test_an_address_that_cannot_be_used_is_one_line(
 
 def test_two_at_a_time_do_not_mix_their_files(folder: Path, checkpoint: bytes) -> None:
     def second(request: ServedRequest) -> None:
-        server.behaviour = sending(checkpoint)
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+        with pytest.raises(DownloadError, match="another fetch_weights is running"):
+            fetch_from(server, folder)
         sending(checkpoint)(request)
 
-    with (
-        FileServer(second) as server,
-        pytest.raises(OutputError, match=r"yolov5n.pt exists and is not replaced"),
-    ):
-        fetch_from(server, folder)
-    assert [path.name for path in folder.iterdir()] == ["yolov5n.pt"]
+    with FileServer(second) as server:
+        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+    assert len(server.requests) == 1
 
 
 def test_the_command_prints_the_licence_once_and_then_the_facts(
@@ -191,7 +211,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFix
 
 
 @pytest.mark.end_to_end
-def test_the_command_ends_with_a_file_that_the_detector_finds(
+def test_the_command_resumes_what_was_cut_and_ends_with_a_file_that_the_detector_finds(
     folder: Path, checkpoint: bytes, digest: str
 ) -> None:
     command = [entry_point("fetch_weights"), "n", "--dir", str(folder), "--sha256", digest, "--safetensors"]
@@ -200,8 +220,9 @@ def test_the_command_ends_with_a_file_that_the_detector_finds(
         cut = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         assert (cut.returncode, cut.stdout) == (1, "")
         assert "ended after 5000 of" in cut.stderr
-        server.behaviour = sending(checkpoint)
+        server.behaviour = sending_ranges(checkpoint)
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
+    assert server.requests[1] == ("/releases/yolov5n.pt", "bytes=5000-")
     found = find_weights(weights="", weights_dir=folder, model_size="n")
     assert done.stdout.splitlines()[0] == str(found) == str(folder / "yolov5n.safetensors")

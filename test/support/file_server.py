@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -20,7 +21,7 @@ class ServedRequest(BaseHTTPRequestHandler):
     server: FileServer
 
     def do_GET(self) -> None:
-        self.server.requests.append(self.path)
+        self.server.requests.append((self.path, self.headers.get("Range", "")))
         self.server.behaviour(self)
 
     def answer(
@@ -45,12 +46,15 @@ class ServedRequest(BaseHTTPRequestHandler):
 
 
 class FileServer(ThreadingHTTPServer):
-    """Answers every request with `behaviour` while its block lasts; `requests` has the paths asked for."""
+    """Answers every request with `behaviour` while its block lasts.
+
+    `requests` has the paths and ranges that were asked for.
+    """
 
     def __init__(self, behaviour: Behaviour) -> None:
         super().__init__(("127.0.0.1", 0), ServedRequest)
         self.behaviour = behaviour
-        self.requests: list[str] = []
+        self.requests: list[tuple[str, str]] = []
         self.closing = threading.Event()
         self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.01})
 
@@ -74,8 +78,25 @@ class FileServer(ThreadingHTTPServer):
 
 
 def sending(body: bytes, **options: object) -> Behaviour:
-    """The same answer to everybody."""
+    """The same answer to everybody, whatever range they ask for."""
     return lambda request: request.answer(body, **options)  # type: ignore[arg-type]
+
+
+def sending_ranges(body: bytes) -> Behaviour:
+    """As a good server does: from the byte on that is asked for."""
+
+    def behave(request: ServedRequest) -> None:
+        asked = re.fullmatch(r"bytes=(\d+)-", request.headers.get("Range", ""))
+        start = int(asked[1]) if asked else 0
+        if start >= len(body):
+            request.answer(b"", status=416)
+        elif start:
+            content_range = f"bytes {start}-{len(body) - 1}/{len(body)}"
+            request.answer(body[start:], status=206, Content_Range=content_range)
+        else:
+            request.answer(body)
+
+    return behave
 
 
 def chunked(*parts: bytes) -> Behaviour:
@@ -115,3 +136,7 @@ def fetch_from(
 ) -> WeightsFile:
     """`fetch_weights n` from that server."""
     return fetch(model, folder, url=server.address + PATTERN, sha256=sha256, stall_s=stall_s)
+
+
+def unfinished(folder: Path) -> Path:
+    return folder / "yolov5n.partial.pt"

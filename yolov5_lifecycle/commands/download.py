@@ -1,4 +1,4 @@
-"""HTTP download of a weights file from a server that is not trusted."""
+"""Resumable HTTP download of a weights file from a server that is not trusted."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.checkpoints.locate import MAX_FILE_BYTES, WeightsFile, load_weights
-from yolov5_lifecycle.models.model import WeightsError
+from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.unfinished import hold, open_itself
 
 _STALL_S = 30.0
 _CHUNK_BYTES = 1 << 14
+_PARTIAL_CONTENT = 206
+_RANGE_NOT_SATISFIABLE = 416
 _MAX_SHOWN = 200
-_AGAIN = "run the command again"
+_AGAIN = "run the command again to resume"
 _BROKEN = (OSError, HTTPException, ValueError, OverflowError)
 """What an address or an answer may raise; OverflowError for a port above 65535."""
 
@@ -48,7 +50,8 @@ def fetch(
     """Load yolov5`model`.pt from `folder`, downloading it if it does not exist.
 
     `url` contains the placeholder `{size}`. The resulting file is complete, readable and, with `sha256`, has
-    that digest; nothing else is kept. Raises DownloadError, WeightsError, OutputError or OSError.
+    that digest. An unfinished or unchecked download is kept beside it and resumed by the next call; one with
+    another digest or without a model is removed. Raises DownloadError, WeightsError or OSError.
     """
     target = folder / f"yolov5{model}.pt"
     if os.path.lexists(target):
@@ -59,36 +62,58 @@ def fetch(
         )
     url = url.replace("{size}", model)
     folder.mkdir(parents=True, exist_ok=True)
-    with whole_output(target) as unfinished:
+    unfinished = target.with_suffix(".partial.pt")
+    with open(unfinished, "ab", opener=open_itself) as file:
+        if not hold(file.fileno(), unfinished):
+            raise DownloadError(f"another fetch_weights is running in {folder}: wait until it has finished")
         try:
-            with unfinished.open("wb") as file:
-                download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
-                file.flush()
-                os.fsync(file.fileno())
-        except DownloadError as error:
-            raise DownloadError(f"{error}. Or copy {target.name} into {folder} by other means.") from None
+            download(url, file, max_bytes=MAX_FILE_BYTES, stall_s=stall_s, progress=progress)
+            file.flush()
+            os.fsync(file.fileno())
+        except BaseException as error:
+            if file.tell() == 0:  # nothing to resume
+                unfinished.unlink()
+            if isinstance(error, DownloadError):
+                raise DownloadError(f"{error}. Or copy {target.name} into {folder} by other means.") from None
+            raise
         found = _checked(unfinished, url, sha256)
+        unfinished.replace(target)
     return replace(found, path=target.resolve())
 
 
 def _checked(path: Path, url: str, sha256: str) -> WeightsFile:
-    """The downloaded model; raises WeightsError, which names `url`."""
+    """The downloaded model; an invalid file is removed, since it cannot be resumed."""
     try:
         found = load_weights(path)  # why it is no model, as a login page is none, says more than its digest
         return load_weights(path, sha256=sha256) if sha256 else found
+    except UncheckedError as error:
+        raise UncheckedError(f"{error} The download is kept: then run the command again.") from None
     except WeightsError as error:
-        problem = str(error).removeprefix(f"{path}: ")
-        raise WeightsError(f"{url}: {problem} The download was removed.") from None
+        path.unlink()
+        raise WeightsError(f"{url}: {str(error).removeprefix(f'{path}: ')} It was removed.") from None
 
 
 def download(url: str, file: BinaryIO, *, max_bytes: int, stall_s: float, progress: Progress) -> None:
-    """Write what is at `url` to `file`.
+    """Append the missing rest of the file at `url` to `file`, opened with "ab".
 
-    Raises DownloadError if the server or connection fails, no data arrives for `stall_s` seconds or more than
-    `max_bytes` do, and OSError if `file` cannot be written.
+    Bytes received before an error stay in `file`, for the next call. Raises DownloadError if the server or
+    connection fails, no data arrives for `stall_s` seconds or more than `max_bytes` do, and OSError if `file`
+    cannot be written.
     """
-    with _answer(url, stall_s) as response:
-        total = response.length
+    start = file.tell()
+    response = _answer(url, start, stall_s)
+    if response is None:
+        return
+    with response:
+        if response.status != _PARTIAL_CONTENT:  # all of the file
+            start = 0
+            file.truncate(start)
+            file.seek(start)
+        elif not (content_range := response.headers.get("Content-Range", "")).startswith(f"bytes {start}-"):
+            raise DownloadError(
+                f"{url}: requested bytes from {start} on, got {_short(content_range)!r}; try a mirror"
+            )
+        total = None if response.length is None else start + response.length
         _check_size(url, total or 0, max_bytes)
         while chunk := _next_chunk(response, url, file.tell(), total, stall_s):
             file.write(chunk)
@@ -111,14 +136,17 @@ class SafeRedirects(HTTPRedirectHandler):
         return super().redirect_request(req, fp, code, msg, headers, newurl)
 
 
-def _answer(url: str, stall_s: float) -> HTTPResponse:
-    """The response after redirects."""
+def _answer(url: str, start: int, stall_s: float) -> HTTPResponse | None:
+    """The response with the bytes from `start` on, after redirects; None if there are none."""
     if not url.startswith(("https://", "http://")):
         raise DownloadError(f"{url}: expected an address that begins with https:// or http://")
     try:
-        return _opened_url(Request(url), stall_s)
+        request = Request(url, headers={"Range": f"bytes={start}-"} if start else {})
+        return _opened_url(request, stall_s)
     except HTTPError as error:
         error.close()
+        if error.code == _RANGE_NOT_SATISFIABLE and start:
+            return None
         raise DownloadError(
             f"{url}: the server answers {error.code} {_short(error.reason)}; check the address"
         ) from None

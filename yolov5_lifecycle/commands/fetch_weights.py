@@ -79,18 +79,17 @@ def _digest(text: str) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = command_parser().parse_args(argv)
-    from yolov5_lifecycle.atomic_file import OutputError
     from yolov5_lifecycle.commands.download import DownloadError
     from yolov5_lifecycle.models.model import WeightsError
 
     try:
         summary = _run(arguments)
-    except (DownloadError, WeightsError, OutputError, OSError) as error:
+    except (DownloadError, WeightsError, OSError) as error:
         complain("fetch_weights", in_one_line(str(error)))
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("\n")  # ends the line of the progress bar
-        complain("fetch_weights", "interrupted; the unfinished download was removed")
+        complain("fetch_weights", "interrupted; run the command again to resume the download")
         return 130
     return write_output("fetch_weights", summary)
 
