@@ -158,8 +158,8 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
             id="recording",
         ),
         pytest.param(
-            ["shots", "--track", "--topic", "/x"],
-            ["shots has still images; tracking needs", "--topic applies to recordings only"],
+            ["shots", "--track", "--crops"],
+            ["shots has still images; tracking needs", "--crops needs --output"],
             id="images",
         ),
         pytest.param(

@@ -37,9 +37,9 @@ def broken(folder: Path, name: str) -> Path:
     return folder / name
 
 
-def plan_for(output: Path, *, suffix: str = "", **settings: object) -> Plan:
+def plan_for(output: Path, *, suffix: str = "", crops: bool = False, **settings: object) -> Plan:
     """The embedded model with `settings`."""
-    export = Export(None, suffix)
+    export = Export(None, suffix, crops=Path("crops") if crops else None)
     return plan_of(validated({**MODEL, **settings}), output, export)
 
 

@@ -105,9 +105,13 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
 
 
 def _export(arguments: argparse.Namespace, path: Path | None, suffix: str) -> Export:
+    crops = Path("crops")
+    if path is not None:
+        crops = path.with_name(f"{path.stem if format_suffix(path) else path.name}_crops")
     return Export(
         path=path,
         suffix=suffix,
+        crops=crops if arguments.crops else None,
         **{name: getattr(arguments, name) for name in ("masks", "annotated", "topic", "node", "images")},
     )
 
@@ -133,6 +137,9 @@ def _check_arguments(
         **(_of_recordings(arguments) if is_file else {}),
         f"{source} has still images; tracking needs a recording or a video": (
             is_tracked and source is not None and not is_bag and has_still_images(source)
+        ),
+        "--crops needs --output, beside which it puts the folder of crops": (
+            arguments.crops and is_file and not has_output
         ),
         f"--images needs a recording as output: give --output without {suffix}": suffix and arguments.images,
         f"{suffix} has no ids of tracks: leave out --track, or choose another format": (

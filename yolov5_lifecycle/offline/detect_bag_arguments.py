@@ -16,7 +16,7 @@ examples:
   detect_bag drive.mcap --topic /front/image_raw --output front --images --params-file yolov5.yaml
   detect_bag drive --output drive_detections -p weights:=best.pt -p confidence_threshold:=0.4
   detect_bag holidays --annotated drawn --output holidays.jsonl
-  detect_bag drive.mp4 --output drive.csv
+  detect_bag drive.mp4 --output drive.csv --crops
   detect_bag drives --output found --jobs 4 --set weights=best.pt
 
 The suffix of --output selects the format: .jsonl (JSON lines), .json (COCO), .csv or .yolo (a folder of YOLO
@@ -62,6 +62,12 @@ def command_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--annotated", type=Path, metavar="PATH", help="new annotated video, image or folder of images"
+    )
+    parser.add_argument(
+        "--crops",
+        action="store_true",
+        help="also write each detection as a JPEG file, to a new folder beside the output: PATH without "
+        "suffix, with _crops; with many recordings or videos, into each result",
     )
     parser.add_argument(
         "--no-masks",

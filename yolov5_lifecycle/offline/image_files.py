@@ -20,10 +20,9 @@ from yolov5_lifecycle.sources.source import (
 
 @dataclass(frozen=True)
 class ImageFile:
-    """An image file, and its number in its folder."""
+    """An image file."""
 
     path: Path
-    number: int = 0
 
     @property
     def label(self) -> str:
@@ -90,7 +89,7 @@ def has_still_images(path: Path) -> bool:
 
 def image_files(path: Path) -> list[ImageFile]:
     """The image `path`, or the images in the folder `path`; raises SourceError for a folder without any."""
-    return [ImageFile(file, number) for number, file in enumerate(image_paths(path))]
+    return list(map(ImageFile, image_paths(path)))
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ def test_an_interrupted_export_leaves_nothing(
 ) -> None:
     path = SOURCES[source](tmp_path)
     monkeypatch.setattr(Terminal, "progress", Mock(side_effect=[None, KeyboardInterrupt]))
-    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 130
+    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]) == 130
     assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
     assert list(tmp_path.iterdir()) == [path]
 

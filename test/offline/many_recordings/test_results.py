@@ -130,16 +130,16 @@ def test_a_lost_gpu_or_a_full_disk_is_no_fault_of_a_recording(drives: Path, tmp_
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
     name: str, suffix: str, file: str, drives: Path, tmp_path: Path
 ) -> None:
-    plan = plan_for(tmp_path / "found", suffix=suffix)
+    plan = plan_for(tmp_path / "found", suffix=suffix, crops=True)
     source = SourceRecording(Path(name).stem, drives / name)
     assert result_of(source.path, plan).state == "done"
     folder = plan.output / source.name
     files = {one.name for one in folder.iterdir()} - {"metadata.yaml"}
-    assert files == {file, RECORD_NAME}
+    assert files == {file, "crops", RECORD_NAME}
     again = finished_before(source, plan)
     assert again is not None
     assert again.state == "skipped"
-    assert sum(again.detections.values()) > 0
+    assert len(list((folder / "crops").rglob("*.jpg"))) == sum(again.detections.values()) > 0
 
 
 def test_the_command_takes_the_format_from_the_name_of_the_folder(drives: Path, tmp_path: Path) -> None:
@@ -149,10 +149,10 @@ def test_the_command_takes_the_format_from_the_name_of_the_folder(drives: Path, 
     assert states(output) == {"film": "skipped"}
 
 
-def test_each_format_is_another_result(tmp_path: Path) -> None:
+def test_each_format_with_or_without_crops_is_another_result(tmp_path: Path) -> None:
     formats = ["", *FORMATS]
-    plans = [plan_for(tmp_path, suffix=one) for one in formats]
-    assert len({plan.settings_sha256 for plan in plans}) == len(formats)
+    plans = [plan_for(tmp_path, suffix=one, crops=crops) for one in formats for crops in (False, True)]
+    assert len({plan.settings_sha256 for plan in plans}) == 2 * len(formats)
 
 
 @pytest.fixture
@@ -203,6 +203,16 @@ def test_what_has_changed_is_not_finished(
     row = finished_before(source, plan_for(result.parent, **settings))
     assert (row is not None) == is_finished
     assert row is None or (row.state, row.path, row.images) == ("skipped", str(source.path), 3)
+
+
+def test_a_recording_that_was_renamed_with_its_result_has_the_new_name(
+    source: SourceRecording, result: Path
+) -> None:
+    renamed = SourceRecording("monday", source.path.rename(source.path.with_name("monday")))
+    result.rename(result.with_name("monday"))
+    row = finished_before(renamed, plan_for(result.parent))
+    assert row is not None
+    assert row.recording == "monday"
 
 
 def test_the_place_of_the_weights_makes_no_difference(

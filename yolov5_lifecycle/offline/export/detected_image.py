@@ -46,6 +46,14 @@ class DetectedImage:
         window, inside = masks.inside_box(row, self.detections.boxes_xyxy[row])
         return coco_rle(window, inside, masks.size_hw), int(inside.sum())
 
+    @property
+    def inside_xyxy(self) -> NDArray[np.float32]:
+        """The boxes, cut at the edges of the image."""
+        height, width = self.image.size_hw
+        limits = np.array((width, height, width, height), np.float32)
+        cut: NDArray[np.float32] = np.clip(self.detections.boxes_xyxy, 0, limits)
+        return cut
+
 
 class Sink:
     """Where detected images go, one after the other."""

@@ -17,6 +17,7 @@ from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, check_stems
 from yolov5_lifecycle.offline.export.image_outputs import (
     AnnotatedImages,
     AnnotatedVideo,
+    Crops,
     check_video_name,
 )
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
@@ -32,6 +33,8 @@ class Export:
     """Its format in FORMATS; "" stands for a recording."""
     masks: bool = True
     """Whether to write the masks of a segmentation model, if the format has some."""
+    crops: Path | None = None
+    """New folder for an image of each detection."""
     annotated: Path | None = None
     """New annotated images or video: a folder if the source is one, else a file."""
     topic: str | None = None
@@ -51,11 +54,11 @@ class Export:
     def whole(self) -> Iterator[Export]:
         """With temporary paths, which are renamed when the block succeeds, see `whole_output`."""
         with ExitStack() as stack:
-            path, annotated = (
+            path, crops, annotated = (
                 stack.enter_context(whole_output(output)) if output else None
-                for output in (self.path, self.annotated)
+                for output in (self.path, self.crops, self.annotated)
             )
-            yield replace(self, path=path, annotated=annotated)
+            yield replace(self, path=path, crops=crops, annotated=annotated)
 
 
 def write_files(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
@@ -99,6 +102,8 @@ def export_images(
     with ExitStack() as stack:
         if further is not None:
             sinks.append(stack.enter_context(closing(further(detector))))
+        if export.crops is not None:
+            sinks.append(Crops(export.crops, detector.class_names))
         if export.suffix:
             new = FORMATS[export.suffix](export.path, detector.class_names, masks=export.masks)
             sinks.append(stack.enter_context(closing(new)))

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
 import yaml
 
 from yolov5_lifecycle.atomic_file import OutputError
@@ -188,10 +187,9 @@ def check_stems(images: Sequence[NamedImage]) -> None:
 def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, float]]:
     """Centre, width and height of the part of each box inside the image, as shares of the image."""
     height, width = found.image.size_hw
-    inside = np.clip(found.detections.boxes_xyxy, 0, np.array((width, height, width, height), np.float32))
     return [
         ((x1 + x2) / 2 / width, (y1 + y2) / 2 / height, (x2 - x1) / width, (y2 - y1) / height)
-        for x1, y1, x2, y2 in inside.tolist()
+        for x1, y1, x2, y2 in found.inside_xyxy.tolist()
     ]
 
 

@@ -1,7 +1,11 @@
-"""Annotated images and videos, which are written beside the detections."""
+"""Images that are written beside the detections: annotated images and videos, a JPEG of each detection."""
 
 from __future__ import annotations
 
+import errno
+import re
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +20,11 @@ from yolov5_lifecycle.offline.detecting import OfflineDetector
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 
+MAX_CROPS = 1_000_000
+"""Files of one source: more make a folder unusable."""
+MIN_FREE_BYTES = 256 << 20
+"""Of the disk: what crops leave free."""
+_MAX_NAME_LETTERS = 40
 _LENGTH_FOLLOWS = 1
 """In place of the length of an MP4 box: 64 bits behind its name have it."""
 
@@ -127,3 +136,42 @@ def is_whole_video(path: Path) -> bool:
             names.add(header[4:8])
             end += length
     return end == size and {b"mdat", b"moov"} <= names
+
+
+class Crops(Sink):
+    """Writes the new folder `path`: `<class id>_<class name>/<image>_<row>.jpg` for each detection.
+
+    Detections of one image are numbered from 0, the highest score first.
+    """
+
+    def __init__(self, path: Path, class_names: Sequence[str]) -> None:
+        path.mkdir()
+        self._path = path
+        # Letters, digits and - stay; all else becomes _.
+        names = (re.sub(r"[^\w-]", "_", name)[:_MAX_NAME_LETTERS] for name in class_names)
+        self._folders = [path / f"{number}_{name}" for number, name in enumerate(names)]
+        self._count = 0
+
+    def add(self, found: DetectedImage) -> None:
+        """Write the crops; raises OutputError beyond MAX_CROPS, and OSError when the disk is nearly full."""
+        self._check_room(len(found.detections))
+        height, width = found.image.size_hw
+        name = Path(str(found.named.identity.get("file", found.named.stem))).name  # a.png is not a.jpg
+        for row, class_id in enumerate(found.detections.class_ids.tolist()):
+            x1, y1, x2, y2 = found.inside_xyxy[row].tolist()
+            left, top = min(int(x1), width - 1), min(int(y1), height - 1)
+            right, bottom = max(int(np.ceil(x2)), left + 1), max(int(np.ceil(y2)), top + 1)
+            touched = ColourImage(found.image.pixels[top:bottom, left:right], found.image.order)
+            self._folders[class_id].mkdir(exist_ok=True)
+            write_image(self._folders[class_id] / f"{name}_{row}.jpg", touched)
+
+    def _check_room(self, count: int) -> None:
+        self._count += count
+        if self._count > MAX_CROPS:
+            raise OutputError(
+                f"--crops: more than {MAX_CROPS:,} detections: raise confidence_threshold, select classes, "
+                "or divide the source."
+            )
+        if count and shutil.disk_usage(self._path).free < MIN_FREE_BYTES:
+            reason = f"less than {MIN_FREE_BYTES >> 20} MiB are free, which --crops leaves"
+            raise OSError(errno.ENOSPC, reason, str(self._path))

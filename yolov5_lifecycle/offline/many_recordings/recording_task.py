@@ -121,7 +121,8 @@ class RecordingTask:
         if suffix:
             unfinished.mkdir()
         path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
-        export = replace(export, path=path, suffix=suffix)
+        crops = unfinished / export.crops if export.crops else None
+        export = replace(export, path=path, suffix=suffix, crops=crops)
         if is_video(source):
             return write_files(source, export, self._detector)
         # Imported here: videos do not need rosbags.

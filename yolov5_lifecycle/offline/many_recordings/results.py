@@ -41,7 +41,7 @@ class Plan:
 
     output: Path
     export: Export
-    """Of each recording, without its path; "" as suffix: JSON lines of a video."""
+    """Of each recording, to paths that are relative to its result; "" as suffix: JSON lines of a video."""
     settings: Settings
     """They select the weights by absolute path and digest."""
     settings_sha256: str
@@ -131,7 +131,9 @@ def finished_before(source: SourceRecording, plan: Plan) -> RecordingResult | No
     wanted = plan.settings.weights_sha256, plan.settings_sha256, digest
     if (record.weights_sha256, record.settings_sha256, record.recording_sha256) != wanted:
         return None
-    return record.result.model_copy(update={"state": "skipped", "path": str(source.path)})
+    return record.result.model_copy(
+        update={"state": "skipped", "recording": source.name, "path": str(source.path)}
+    )
 
 
 def recording_digest(recording: Path) -> str:
