@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.unfinished import FOLDER_PREFIX, hold, remove_abandoned_folders, temporary_folder
+from yolov5_lifecycle.unfinished import hold, remove_abandoned_folders, temporary_folder
 
 UNFINISHED_PREFIX, UNFINISHED_SUFFIX = ".", ".part"
 _ATTEMPTS = 20
@@ -67,30 +67,22 @@ class OutputError(ValueError):
 
 
 @contextmanager
-def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
+def whole_output(path: Path) -> Iterator[Path]:
     """Temporary path for a file or folder, which is renamed to `path` when the block succeeds.
 
-    Until then, and on failure, nothing exists at `path`, or with `replace` the previous content. A killed
-    process leaves a hidden folder next to it, which the next output to the same folder removes. Raises
-    OutputError if `path` already exists, unless `replace`, and OSError.
+    Until then, and on failure, nothing exists at `path`. A killed process leaves a hidden folder next to it,
+    which the next output to the same folder removes. Raises OutputError if `path` already exists, and
+    OSError.
     """
-    if not replace:
-        _check_free(path)
+    _check_free(path)
     if not path.parent.is_dir():
         raise OutputError(f"{path.parent}: folder not found; create it first.")
     remove_abandoned_folders(path.parent)
     with temporary_folder(path.parent) as folder:
         unfinished = folder / path.name
         yield unfinished
-        if replace and os.path.lexists(path):
-            path.rename(folder / f"{path.name}{UNFINISHED_SUFFIX}")
         _check_free(path)
         unfinished.rename(path)
-
-
-def has_unfinished_outputs(folder: Path) -> bool:
-    """Whether a process is writing output to `folder`, or was killed while doing so; raises OSError."""
-    return any(path.name.startswith(FOLDER_PREFIX) for path in folder.iterdir())
 
 
 def _check_free(path: Path) -> None:

@@ -113,6 +113,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (images / "broken.png").write_bytes(b"no image")
     (folder / "empty").mkdir()
     (folder / "data.yaml").touch()
+    (folder / "labels").mkdir()
     return folder
 
 
@@ -146,6 +147,9 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
         pytest.param(["best.safetensors", "empty"], "empty", id="no images"),
         pytest.param(
             ["best.safetensors", "data.yaml"], "of a data set, give the folder of its images", id="data set"
+        ),
+        pytest.param(
+            ["best.safetensors", "."], "of a data set, give the folder of its images", id="its folder"
         ),
         pytest.param(
             ["best.safetensors", "images", "--topic", "/x"],

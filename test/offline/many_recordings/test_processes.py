@@ -24,7 +24,6 @@ from support.many_recordings import (
 from support.recorded_scene import COUNT, video
 from support.started import started
 
-from yolov5_lifecycle.atomic_file import has_unfinished_outputs
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
@@ -35,6 +34,7 @@ from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.ros.child_process import entry_point
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
+from yolov5_lifecycle.unfinished import FOLDER_PREFIX
 
 LENGTHS = {"east": COUNT, "north": 4}
 
@@ -111,6 +111,11 @@ def test_a_worker_says_why_it_cannot_load_the_model(tmp_path: Path) -> None:
         worker.close()
     with pytest.raises(ChildProcessError, match="the worker was stopped"):
         worker.start()
+
+
+def has_unfinished_outputs(folder: Path) -> bool:
+    """Whether a process is writing output to `folder`, or was killed while doing so."""
+    return any(path.name.startswith(FOLDER_PREFIX) for path in folder.iterdir())
 
 
 class HuntedWorker(Worker):

@@ -55,7 +55,8 @@ def _opened(path: Path, topic: str | None) -> Iterator[tuple[Iterable[StoredImag
         return
     if topic is not None:
         raise SourceError(f"--topic does not apply to {path}, which is no recording")
-    if path.suffix.lower() in (".json", ".yaml", ".yml"):
+    is_folder = all((path / name).is_dir() for name in ("images", "labels"))
+    if is_folder or path.suffix.lower() in (".json", ".yaml", ".yml"):
         raise SourceError(f"{path}: expected images; of a data set, give the folder of its images")
     if has_still_images(path):
         files = image_files(path)
