@@ -120,7 +120,6 @@ setup(
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],
-        "ray": ["ray>=2.40"],
         # The first has vision_msgs and bond, which no other package has; the versions are those of Jazzy.
         "ros": [
             f"{name}_interfaces=={version}",
@@ -129,7 +128,6 @@ setup(
             "ros-lifecycle-msgs~=2.0",
             "ros-rclpy[fastrtps]~=7.1",
         ],
-        "summary": ["pyarrow>=15"],
         "tracking": ["scipy>=1.11"],
     },
     cmdclass={"sdist": ReproducibleSdist},

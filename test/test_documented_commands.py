@@ -45,13 +45,12 @@ from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 OF_OTHERS = (
-    *("sudo", "git", "cd", "mkdir", "source", "export", "pixi", "docker", "podman", "ray", "journalctl"),
+    *("sudo", "git", "cd", "mkdir", "source", "export", "pixi", "docker", "podman", "journalctl"),
     *("rviz2", "python3", ".venv/bin/python -c", "~/yolov5_venv/bin/", "~/yolov5_release/bin/"),
     *("ros2 run rqt_image_view", "ros2 run tf2_ros", "ros2 run nav2_lifecycle_manager", "ros2 security"),
 )
 """How the commands of other programs begin."""
 NOT_RUN = {
-    "detect_bag --ray ": "needs a Ray cluster; test/offline/many_recordings/test_ray_cluster.py has one",
     "camera --ros-args -p source:=0 ": "needs a webcam",
     "camera --ros-args -p source:=rtsp:": "needs a network camera; test_network_stream.py has one of HTTP",
     'camera --ros-args -p "source:=v4l2src ': "needs a webcam and GStreamer",

@@ -8,8 +8,7 @@ import pytest
 
 from yolov5_lifecycle import folder_listing
 from yolov5_lifecycle.folder_listing import FolderTree, entries
-from yolov5_lifecycle.offline import recordings
-from yolov5_lifecycle.offline.recordings import is_recording, recordings_of
+from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.source import image_paths
 
@@ -19,7 +18,6 @@ LIMIT = 5
 @pytest.fixture(autouse=True)
 def low_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folder_listing, "MAX_ENTRIES", LIMIT)
-    monkeypatch.setattr(recordings, "MAX_ENTRIES", LIMIT)
 
 
 def filled(folder: Path, count: int, suffix: str = ".jpg") -> Path:
@@ -65,9 +63,3 @@ def test_a_folder_of_too_many_images_is_no_source(tmp_path: Path) -> None:
 def test_a_folder_of_too_many_files_is_no_recording(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="found more"):
         is_recording(filled(tmp_path, LIMIT + 1))
-
-
-def test_a_pattern_with_too_many_matches_is_refused(tmp_path: Path) -> None:
-    filled(tmp_path / "drives", LIMIT + 1, ".mcap")
-    with pytest.raises(SourceError, match="expected at most 5 matches, found more"):
-        recordings_of([tmp_path / "drives" / "*.mcap"], tmp_path / "results")

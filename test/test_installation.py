@@ -168,7 +168,7 @@ def test_the_nodes_and_the_demo_need_nothing_that_the_tests_add() -> None:
         for module, packages in packages_distributions().items()
         if installed.isdisjoint(canonicalize_name(package) for package in packages)
     ]
-    assert {"onnxruntime", "openvino", "pytest", "ray"} <= set(absent)
+    assert {"onnxruntime", "openvino", "pytest"} <= set(absent)
     program = f"""
 import importlib, pkgutil, sys
 sys.modules.update(dict.fromkeys({absent!r}))

@@ -169,7 +169,7 @@ def differing(one: dict[str, str], other: dict[str, str]) -> set[str]:
 def test_every_installed_package_is_pinned() -> None:
     installed = {
         canonicalize_name(found.name): found.version.partition("+")[0]
-        for found in distributions(path=[sysconfig.get_path("purelib")])  # Ray adds packages to sys.path
+        for found in distributions(path=[sysconfig.get_path("purelib")])
         if from_package_index(found)
     }
     assert installed

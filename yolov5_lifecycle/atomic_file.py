@@ -57,23 +57,20 @@ def _written(folder: Path, parts: Iterable[bytes], *, is_durable: bool) -> Path:
 
 
 @contextmanager
-def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
+def whole_output(path: Path) -> Iterator[Path]:
     """Temporary path for a file or folder, which is renamed to `path` when the block succeeds.
 
-    Until then, and on failure, nothing exists at `path`, or with `replace` the previous content. A killed
-    process leaves a hidden folder next to it, which the next output to the same folder removes. Raises
-    OutputError if `path` already exists, unless `replace`, and OSError.
+    Until then, and on failure, nothing exists at `path`. A killed process leaves a hidden folder next to it,
+    which the next output to the same folder removes. Raises OutputError if `path` already exists, and
+    OSError.
     """
-    if not replace:
-        _check_free(path)
+    _check_free(path)
     if not path.parent.is_dir():
         raise OutputError(f"{path.parent}: folder not found; create it first.")
     remove_abandoned_folders(path.parent)
     with temporary_folder(path.parent) as folder:
         unfinished = folder / path.name
         yield unfinished
-        if replace and os.path.lexists(path):
-            path.rename(folder / f"{path.name}.replaced")
         _check_free(path)
         unfinished.rename(path)
 
@@ -81,11 +78,6 @@ def whole_output(path: Path, *, replace: bool = False) -> Iterator[Path]:
 def _check_free(path: Path) -> None:
     if os.path.lexists(path):
         raise OutputError(f"{path} exists and is not replaced: choose another name or remove it.")
-
-
-def has_unfinished_outputs(folder: Path) -> bool:
-    """Whether a process is writing output to `folder`, or was killed while doing so; raises OSError."""
-    return any(path.name.startswith(FOLDER_PREFIX) for path in folder.iterdir())
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -18,13 +17,12 @@ from yolov5_lifecycle.offline.export.formats import (
     FORMATS,
     JSON_LINES,
     check_export_name,
-    check_format,
     format_suffix,
 )
 from yolov5_lifecycle.offline.image_files import has_still_images
 from yolov5_lifecycle.offline.many_recordings.results import plan_of
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.workers import ProcessWorker, Worker, suitable_count
+from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, is_video, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, exit_code, missing_images, report
 from yolov5_lifecycle.process.standard_streams import complain, show_report
@@ -40,7 +38,11 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     arguments = parser.parse_args(argv)
 
     def run() -> int:
-        if arguments.jobs or arguments.ray or are_many(arguments.sources):
+        for source in arguments.sources:
+            if not source.exists():
+                hint = "; leave out quotes around a pattern" if "*" in source.name else ""
+                raise FileNotFoundError(f"{source}: file or folder not found{hint}")
+        if arguments.jobs or are_many(arguments.sources):
             return _run_many(parser, arguments)
         return _run(parser, arguments, prepare)
 
@@ -49,8 +51,6 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
 
 def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace, prepare: Prepare) -> int:
     (source,) = arguments.sources
-    if not source.exists():
-        raise FileNotFoundError(f"{source}: file or folder not found")
     _check_arguments(parser, arguments, source)
     with closing(Terminal(_COMMAND, shows_progress=bool(arguments.output))) as terminal:
         statistics = _detected(source, arguments, terminal, prepare)
@@ -65,12 +65,15 @@ def _run(parser: argparse.ArgumentParser, arguments: argparse.Namespace, prepare
 def _detected(
     source: Path, arguments: argparse.Namespace, terminal: Terminal, prepare: Prepare
 ) -> RunStatistics:
-    settings = _settings(arguments)
-    export = _export(source, arguments)
+    settings, output = _settings(arguments), arguments.output
+    suffix = "" if output is None else format_suffix(output)
     if is_recording(source):
         from yolov5_lifecycle.offline.detect_recording import write_recording as write  # rosbags is an extra
     else:
-        write = write_files
+        if output is not None:
+            check_export_name(output)
+        suffix, write = suffix or JSON_LINES, write_files
+    export = _export(arguments, output, suffix)
 
     def load() -> OfflineDetector:
         prepared = prepared_for(settings, prepare)
@@ -80,63 +83,41 @@ def _detected(
         return write(source, unfinished, load)
 
 
-def _export(source: Path, arguments: argparse.Namespace) -> Export:
-    """The outputs for a single source; raises OutputError for a format that cannot be written."""
-    output = arguments.output
-    suffix = "" if output is None else format_suffix(output)
-    if not is_recording(source):
-        if output is not None:
-            check_export_name(output)
-        suffix = suffix or JSON_LINES
-    crops = output.with_name(f"{output.stem if suffix else output.name}_crops") if arguments.crops else None
-    return _export_to(output, suffix, crops, arguments)
-
-
-def _export_to(path: Path | None, suffix: str, crops: Path | None, arguments: argparse.Namespace) -> Export:
-    check_format(suffix)
-    return Export(
-        path=path,
-        suffix=suffix,
-        masks=arguments.masks,
-        crops=crops,
-        annotated=arguments.annotated,
-        topic=arguments.topic,
-        node=arguments.node,
-        images=arguments.images,
-    )
-
-
-def _settings(arguments: argparse.Namespace) -> Settings:
-    return wanted_settings(arguments.params_file, arguments.assignments, arguments.node, arguments.camera)
-
-
 def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> int:
     _check_arguments(parser, arguments, None)
     output = Path(os.path.abspath(arguments.output))  # noqa: PTH100
     settings = _settings(arguments)
     sources = recordings_of(arguments.sources, output)
-    export = _export_to(None, format_suffix(output), Path("crops") if arguments.crops else None, arguments)
     if all(is_video(source.path) for source in sources):
         _refuse(parser, _of_recordings(arguments))
     else:
         import yolov5_lifecycle.offline.detect_recording  # noqa: F401 - to say at once that rosbags is missing
-    plan = plan_of(settings, output, export)
-    new_workers = functools.partial(_workers, arguments.jobs, arguments.ray)
+    plan = plan_of(settings, output, _export(arguments, None, format_suffix(output)))
+
+    def new_workers(recordings: int) -> Sequence[Worker]:
+        count = suitable_count(recordings, arguments.jobs)
+        return [Worker(count) for _ in range(count)]
+
     with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
         batch = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
     show_report(str(batch))
     return 0 if batch.is_complete else EXIT_INCOMPLETE
 
 
-def _workers(jobs: int | None, ray: str | None, recordings: int) -> Sequence[Worker]:
-    """`jobs` workers, or as many as are suitable for `recordings`, on the cluster `ray` or this machine."""
-    if ray is None:
-        count = suitable_count(recordings, jobs)
-        return [ProcessWorker(count) for _ in range(count)]
-    from yolov5_lifecycle.offline.many_recordings.ray_worker import RayWorker, connected
+def _export(arguments: argparse.Namespace, path: Path | None, suffix: str) -> Export:
+    crops = Path("crops")
+    if path is not None:
+        crops = path.with_name(f"{path.stem if format_suffix(path) else path.name}_crops")
+    return Export(
+        path=path,
+        suffix=suffix,
+        crops=crops if arguments.crops else None,
+        **{name: getattr(arguments, name) for name in ("masks", "annotated", "topic", "node", "images")},
+    )
 
-    processors = connected(ray)
-    return [RayWorker() for _ in range(min(jobs or processors, processors, recordings))]
+
+def _settings(arguments: argparse.Namespace) -> Settings:
+    return wanted_settings(arguments.params_file, arguments.assignments, arguments.node, arguments.camera)
 
 
 def _check_arguments(

@@ -17,14 +17,14 @@ examples:
   detect_bag drive --output drive_detections -p weights:=best.pt -p confidence_threshold:=0.4
   detect_bag holidays --annotated drawn --output holidays.jsonl
   detect_bag drive.mp4 --output drive.csv --crops
-  detect_bag 'drives/*' --output found --jobs 4 --set weights=best.pt
+  detect_bag drives --output found --jobs 4 --set weights=best.pt
 
-The suffix of --output selects the format: .jsonl (JSON lines), .json (COCO), .csv, .parquet or .yolo (a
-folder of YOLO text). Without one of these, a recording becomes a recording, and images and videos JSON lines.
+The suffix of --output selects the format: .jsonl (JSON lines), .json (COCO), .csv or .yolo (a folder of YOLO
+text). Without one of these, a recording becomes a recording, and images and videos JSON lines.
 
-With many recordings or videos (several paths, a quoted pattern, or a folder of them), PATH is a folder. It
-gets a folder for each, and summary.json and summary.parquet with the detection counts. Run again, the same
-command does only what is missing. If a recording fails, the others go on; the exit code is then 3.
+With many recordings or videos (several paths, or a folder of them), PATH is a folder. It gets a folder for
+each, and summary.json with the detection counts. Run again, the same command does only what is missing. If a
+recording fails, the others go on; the exit code is then 3.
 """
 
 
@@ -55,11 +55,6 @@ def command_parser() -> argparse.ArgumentParser:
         type=count_up_to(_MAX_JOBS, "processes"),
         metavar="N",
         help="processes for many recordings (default: one per core, but at most one per GiB of free memory)",
-    )
-    parser.add_argument(
-        "--ray",
-        metavar="ADDRESS",
-        help="process many recordings on the Ray cluster at ADDRESS, such as auto or 10.0.0.1:6379",
     )
     parser.add_argument("--topic", help="image topic of the recording (default: the only one)")
     parser.add_argument(

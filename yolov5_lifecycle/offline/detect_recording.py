@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -35,44 +33,21 @@ _IMAGE = "sensor_msgs/msg/Image"
 def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
     """Write the detections in the images of the recording `source`; what is written stays on failure.
 
-    Without a suffix in `export`, the output is a new recording in the same storage format. Raises
-    RecordingError, OutputError, OSError, DetectingError and what `load` raises.
+    Without a suffix in `export`, the output is a new recording in MCAP. Raises RecordingError, OutputError,
+    OSError, DetectingError and what `load` raises.
     """
-    with open_recording(source) as recording, os_errors(export.path):
+    with open_recording(source) as recording:
         if recording.foreign:
             complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
         topic = recording.image_topic(export.topic)
         images = _not_empty(source, topic, recording.messages(topic))
-        if not export.suffix and export.path is not None:
-            _check_path(export.path.absolute(), recording.storage)
-        new_bag = None if export.suffix else partial(_DetectionBag, export, recording.storage)
+        if not export.suffix and export.path is not None and not is_utf8(export.path.name):
+            name = in_one_line(export.path.name)
+            raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
+        new_bag = None if export.suffix else partial(_DetectionBag, export)
         statistics = export_images(images, topic.count, export, load, new_bag)
     statistics.missing = max(0, topic.count - statistics.outcomes.total())
     return statistics
-
-
-def _check_path(output: Path, storage: StoragePlugin) -> None:
-    """Raise OutputError for a path that metadata.yaml cannot contain, or that SQLite would misread."""
-    name = in_one_line(output.name)
-    if not is_utf8(output.name):
-        raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
-    # In a URI these begin other parts: https://sqlite.org/uri.html
-    if storage is StoragePlugin.SQLITE3 and (set("#?%") & set(str(output)) or str(output).startswith("//")):
-        raise OutputError(
-            f"{name}: the path of a recording in SQLite cannot have #, ? or %, nor begin with //: choose "
-            "another --output, or a format such as .jsonl; of many recordings, rename this one."
-        )
-
-
-@contextmanager
-def os_errors(output: Path | None) -> Iterator[None]:
-    """Raise OSError for an error of SQLite while it writes to `output`, with ENOSPC if the disk is full."""
-    try:
-        yield
-    except sqlite3.Error as error:
-        # Its code is an attribute only since Python 3.11; the text of SQLITE_FULL is fixed.
-        is_full = str(error) == "database or disk is full"
-        raise OSError(errno.ENOSPC if is_full else errno.EIO, str(error), str(output)) from error
 
 
 def _not_empty(
@@ -93,11 +68,11 @@ def _not_empty(
 class _DetectionBag(Sink):
     """The new recording of `export`, with the topics and QoS of the node; masks are label images."""
 
-    def __init__(self, export: Export, storage: StoragePlugin, detector: OfflineDetector) -> None:
+    def __init__(self, export: Export, detector: OfflineDetector) -> None:
         assert export.path is not None
         self._detector = detector
         self._is_labelled = self._is_finished = False
-        self._writer = Writer(export.path.absolute(), version=9, storage_plugin=storage)
+        self._writer = Writer(export.path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._writer.open()
         node, has_masks = export.node, export.masks and detector.segments
         self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)

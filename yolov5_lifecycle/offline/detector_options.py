@@ -29,7 +29,7 @@ def wanted_settings(
     problems = [Problem(name, _NOT_OFFLINE) for name in _OF_THE_NODE if name in assigned]
     try:
         settings = validated(values | {name: assigned[name] for name in assigned if name not in _OF_THE_NODE})
-        wanted = _without_overrides(settings) if camera is None else _of_camera(settings, camera)
+        wanted = _of_camera(settings, camera)
     except SettingsError as error:
         raise SettingsError([*problems, *error.problems]) from None
     if problems:
@@ -37,17 +37,14 @@ def wanted_settings(
     return wanted
 
 
-def _of_camera(settings: Settings, camera: str) -> Settings:
-    if camera not in settings.cameras:
-        expected = (
-            f"expected one of {', '.join(settings.cameras)}" if settings.cameras else "there are no cameras"
-        )
+def _of_camera(settings: Settings, camera: str | None) -> Settings:
+    """`settings` of that camera, or, without one, if they are the same for all; raises SettingsError."""
+    if camera is not None:
+        if camera in settings.cameras:
+            return settings.for_camera(camera)
+        known = ", ".join(settings.cameras)
+        expected = f"expected one of {known}" if known else "there are no cameras"
         raise SettingsError([Problem("cameras", f"{expected}, but --camera is {camera!r}.")])
-    return settings.for_camera(camera)
-
-
-def _without_overrides(settings: Settings) -> Settings:
-    """`settings` if they are the same for all cameras; raises SettingsError."""
     choices = " or ".join(f"--camera {name}" for name in settings.cameras)
     problems = [
         Problem(name, f"it applies to one camera only: give the one that took the images, {choices}.")
@@ -64,16 +61,15 @@ def add_detector_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--params-file", type=Path, metavar="FILE.yaml", help="parameter file of the detector"
     )
-    for option, form in (("--set", "NAME=VALUE"), ("-p", "NAME:=VALUE")):
-        parser.add_argument(
-            option,
-            action="append",
-            default=[],
-            type=_assignment,
-            dest="assignments",
-            metavar=form,
-            help="a parameter of the detector, overrides the file; may be repeated",
-        )
+    parser.add_argument(
+        *("--set", "-p"),
+        action="append",
+        default=[],
+        type=_assignment,
+        dest="assignments",
+        metavar="NAME=VALUE",
+        help="a parameter of the detector, overrides the file; may be repeated, and be NAME:=VALUE",
+    )
     parser.add_argument(
         "--node",
         type=_node_name,

@@ -14,8 +14,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from backports import zstd
-from pydantic import BaseModel, Field, NonNegativeInt, ValidationError
-from rosbags.rosbag2 import StoragePlugin
+from pydantic import BaseModel, Field, ValidationError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -27,7 +26,6 @@ from yolov5_lifecycle.offline.recordings import METADATA, PACKED, ROS1_BAG
 from yolov5_lifecycle.offline.stored_messages import (
     CDR,
     MAX_MESSAGE_BYTES,
-    MAX_TOPICS,
     McapFile,
     SqliteFile,
     StorageError,
@@ -67,8 +65,6 @@ TYPES = _typestore()
 """Message types of Jazzy and vision_msgs."""
 MAX_METADATA_BYTES = 16 << 20
 _MAX_FILES = 10_000
-_MAX_CLAIMED = 10**15
-"""Messages of a topic, for which a recording may claim any number."""
 _FREE_SHARE = 0.9
 _BLOCK_BYTES = 1 << 20
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -79,18 +75,8 @@ _MAX_LISTED = 50
 """Topics in an error."""
 
 
-class _TopicMetadata(BaseModel):
-    name: str
-
-
-class _TopicCount(BaseModel):
-    topic_metadata: _TopicMetadata
-    message_count: NonNegativeInt
-
-
 class _BagInformation(BaseModel):
     relative_file_paths: list[str] = Field(max_length=_MAX_FILES)
-    topics_with_message_count: list[_TopicCount] = Field(default=[], max_length=MAX_TOPICS)
 
 
 class _Metadata(BaseModel):
@@ -149,9 +135,9 @@ class RecordedMessage:
 
     @property
     def stem(self) -> str:
-        """The name of files about it: its stamp, which others may have, too; raises ImageError."""
+        """The name of files about it: its stamp, which others may have, and number; raises ImageError."""
         seconds, nanoseconds = self.stamp
-        return f"{seconds}_{nanoseconds:09}"
+        return f"{seconds}_{nanoseconds:09}_frame_{self.number:06}"
 
     def load(self) -> ColourImage:
         """The pixels of an image message; raises ImageError."""
@@ -162,16 +148,9 @@ class RecordedMessage:
 class Recording:
     """An open recording; see `open_recording`."""
 
-    def __init__(self, path: Path, storages: Sequence[_Storage], claimed: Mapping[str, int]) -> None:
+    def __init__(self, path: Path, storages: Sequence[_Storage]) -> None:
         self.path = path
         self._storages = storages
-        self._claimed = claimed
-
-    @property
-    def storage(self) -> StoragePlugin:
-        """The storage format of its files."""
-        is_mcap = any(isinstance(storage, McapFile) for storage in self._storages)
-        return StoragePlugin.MCAP if is_mcap else StoragePlugin.SQLITE3
 
     def image_topic(self, name: str | None = None) -> StoredTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
@@ -212,8 +191,7 @@ class Recording:
             if topic.type_name in type_names and topic.encoding == CDR:
                 counts[topic.name, topic.type_name] += topic.count
         return [
-            StoredTopic(name, type_name, CDR, min(max(count, self._claimed.get(name, 0)), _MAX_CLAIMED))
-            for (name, type_name), count in sorted(counts.items())
+            StoredTopic(name, type_name, CDR, count) for (name, type_name), count in sorted(counts.items())
         ]
 
     @property
@@ -234,9 +212,8 @@ def open_recording(path: Path) -> Iterator[Recording]:
     """
     with ExitStack() as stack:
         with _readable(path):
-            files, claimed = _files_of(path)
-            storages = [_open_storage(file, stack) for file in files]
-        yield Recording(path, storages, claimed)
+            storages = [_open_storage(file, stack) for file in _files_of(path)]
+        yield Recording(path, storages)
 
 
 @contextmanager
@@ -250,13 +227,10 @@ def _readable(path: Path) -> Iterator[None]:
         raise RecordingError(f"{path}: the recording cannot be read: {reason}.{repair}") from error
 
 
-def _files_of(path: Path) -> tuple[list[Path], Mapping[str, int]]:
-    """The files of the recording at `path`, in order, and the messages of each topic that it claims to have.
-
-    Raises StorageError and OSError.
-    """
+def _files_of(path: Path) -> list[Path]:
+    """The files of the recording at `path`, in order; raises StorageError and OSError."""
     if not path.is_dir():
-        return [path], {}
+        return [path]
     try:
         described = texts_of(read_regular_file(path / METADATA, MAX_METADATA_BYTES))
         bag = _Metadata.model_validate(described).rosbag2_bagfile_information
@@ -270,11 +244,8 @@ def _files_of(path: Path) -> tuple[list[Path], Mapping[str, int]]:
         raise StorageError(f"{METADATA}: {'.'.join(map(str, problem['loc']))}: {problem['msg']}") from None
     except ValueError as error:
         raise StorageError(f"{METADATA}: {error}") from None
-    claimed = Counter[str]()
-    for topic in bag.topics_with_message_count:
-        claimed[topic.topic_metadata.name] += topic.message_count
     # Written with the folder in front by early versions; a file elsewhere is not read.
-    return [path / PurePath(name).name for name in bag.relative_file_paths], claimed
+    return [path / PurePath(name).name for name in bag.relative_file_paths]
 
 
 def _open_storage(path: Path, stack: ExitStack) -> _Storage:

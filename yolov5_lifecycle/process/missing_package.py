@@ -11,7 +11,7 @@ from yolov5_lifecycle.printable import in_one_line, shell_command
 
 _MODULES = (
     *("annotated_types", "apsw", "h11", "lz4", "matplotlib", "numpy", "onnx", "onnxruntime", "openvino"),
-    *("prometheus_client", "pyarrow", "pycocotools", "pydantic", "pydantic_core", "ray", "rosbags"),
+    *("prometheus_client", "pycocotools", "pydantic", "pydantic_core", "rosbags"),
     *("safetensors", "scipy", "starlette", "torch", "uvicorn", "websockets"),
 )
 PIP_PACKAGES: Mapping[str, str] = {

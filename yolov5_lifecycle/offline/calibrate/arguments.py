@@ -6,18 +6,13 @@ import argparse
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
-from yolov5_lifecycle.offline.evaluate.arguments import add_data_options
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
 
 _EPILOG = """\
-DATA is one of
-  a folder of images, a video or a ros2 bag recording
-  labelled images: a folder with images/ and labels/ in YOLO format, or its data.yaml, or a COCO file (.json)
-With labels, the loss of mAP in int8 is measured, too; this needs pycocotools.
+DATA is a folder of images, a video or a ros2 bag recording.
 
 examples:
   calibrate best.pt drive.mcap
-  calibrate best.pt shots/data.yaml --split train
   calibrate best.pt images --image-size 320 --confidence-threshold 0.4
 
 The file is written next to the weights, where the detector looks for it with precision int8. The command
@@ -47,7 +42,6 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="file to write or replace (default: WEIGHTS with the ending .calibration.json)",
     )
-    add_data_options(parser)
     parser.add_argument("--topic", help="image topic of a recording (default: the only one)")
     parser.add_argument(
         "--images",

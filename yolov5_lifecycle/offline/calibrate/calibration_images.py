@@ -1,4 +1,4 @@
-"""The images that a model is calibrated on: diverse, as the network receives them, and their labels."""
+"""The images that a model is calibrated on: diverse, as the network receives them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detecting import StoredImage
-from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
-from yolov5_lifecycle.offline.evaluate.labelled_data import has_labels, kind_of, labelled_data
-from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile, has_still_images, image_files
+from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
 from yolov5_lifecycle.offline.recordings import is_recording
+from yolov5_lifecycle.sources.frames import SourceError
 
 _THUMBNAIL_WH = (16, 12)
 _CANDIDATES_PER_IMAGE = 2
@@ -32,91 +29,41 @@ Fit = Callable[[ColourImage], ColourImage]
 Lost = Callable[[str, ImageError], None]
 
 
-@dataclass(frozen=True)
-class Source:
-    """The images of a recording, a video or a folder, and how many it claims to have, 0 if unknown."""
+def read_calibration_images(
+    path: Path, topic: str | None, count: int, fit: Fit, *, lost: Lost, seen: Callable[[int], None]
+) -> list[ColourImage]:
+    """At most `count` images of `path`, in one size: see `diverse_images`.
 
-    images: Iterable[StoredImage]
-    claimed: int
-
-
-@dataclass(frozen=True, eq=False)
-class CalibrationData:
-    """Images of one size, as the network receives them.
-
-    `labelled`: the files of those that are compared with fp32, and their labels; None without labels.
+    Raises SourceError, RecordingError (both ValueErrors) and ImportError without rosbags.
     """
-
-    images: Sequence[ColourImage]
-    labelled: LabelledFolder | None
-
-
-def read_calibration_data(
-    path: Path,
-    options: DataOptions,
-    count: int,
-    fit: Fit,
-    *,
-    problems: Problems,
-    lost: Lost,
-    seen: Callable[[int], None],
-) -> CalibrationData:
-    """At most `count` images of `path`: see `diverse_images`.
-
-    Problems with single labels are added to `problems`. Raises SourceError, RecordingError, DataError (all
-    ValueErrors) and ImportError without rosbags.
-    """
-    _check_options(path, options)
-    with _opened(path, options, problems) as (source, data):
-        chosen = diverse_images(source, count, fit, lost=lost, seen=seen)
+    with _opened(path, topic) as (images, claimed):
+        chosen = diverse_images(images, claimed, count, fit, lost=lost, seen=seen)
     if not chosen:
-        raise DataError(f"{path}: none of its images can be used")
-    labelled = _compared(data, chosen) if data is not None else None
-    return CalibrationData(of_one_size([image for _, image in chosen]), labelled)
-
-
-def _check_options(path: Path, options: DataOptions) -> None:
-    """Raise DataError for an option that does not apply to `path`."""
-    if has_labels(path) or is_recording(path):
-        kind = kind_of(path) if has_labels(path) else "recording"
-        found = f"a data set of the kind {kind}"
-        useless = options.useless(kind)
-    else:
-        found = "a folder without labels, an image or a video"
-        useless = [name for name, value in vars(options).items() if value is not None]
-    if useless:
-        raise DataError(f"--{useless[0]} does not apply to {path}, {found}")
+        raise SourceError(f"{path}: none of its images can be used")
+    return of_one_size(chosen)
 
 
 @contextmanager
-def _opened(
-    path: Path, options: DataOptions, problems: Problems
-) -> Iterator[tuple[Source, LabelledFolder | None]]:
+def _opened(path: Path, topic: str | None) -> Iterator[tuple[Iterable[StoredImage], int]]:
+    """The images of a recording, a video or a folder, and how many it claims to have, 0 if unknown."""
     if is_recording(path):
         from yolov5_lifecycle.offline.recording import open_recording  # its package is optional
 
         with open_recording(path) as recording:
-            topic = recording.image_topic(options.topic)
-            yield Source(recording.messages(topic), topic.count), None
-    elif has_labels(path):
-        data = labelled_data(path, options, problems)
-        yield Source([ImageFile(each.path) for each in data.images], len(data.images)), data
-    elif has_still_images(path):
+            found = recording.image_topic(topic)
+            yield recording.messages(found), found.count
+        return
+    if topic is not None:
+        raise SourceError(f"--topic does not apply to {path}, which is no recording")
+    is_folder = all((path / name).is_dir() for name in ("images", "labels"))
+    if is_folder or path.suffix.lower() in (".json", ".yaml", ".yml"):
+        raise SourceError(f"{path}: expected images; of a data set, give the folder of its images")
+    if has_still_images(path):
         files = image_files(path)
-        yield Source(files, len(files)), None
+        yield files, len(files)
     else:
         video = VideoFile.open(path)
-        yield Source(video.frames, video.claimed_frames), None
-
-
-def _compared(data: LabelledFolder, chosen: Sequence[tuple[int, ColourImage]]) -> LabelledFolder:
-    """The labelled files of the images that are compared.
-
-    They are sorted by size, as a network is compiled for each and only a few are kept.
-    """
-    _, compared = halves(chosen)
-    ordered = sorted(compared, key=lambda each: each[1].size_hw)
-    return LabelledFolder(data.class_names, tuple(data.images[number] for number, _ in ordered))
+        yield video.frames, video.claimed_frames
 
 
 def halves(items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item]]:
@@ -125,43 +72,37 @@ def halves(items: Sequence[Item]) -> tuple[Sequence[Item], Sequence[Item]]:
 
 
 def diverse_images(
-    source: Source, count: int, fit: Fit, *, lost: Lost, seen: Callable[[int], None]
-) -> list[tuple[int, ColourImage]]:
-    """At most `count` images, spread over the source, which differ from each other as much as possible.
+    images: Iterable[StoredImage],
+    claimed: int,
+    count: int,
+    fit: Fit,
+    *,
+    lost: Lost,
+    seen: Callable[[int], None],
+) -> list[ColourImage]:
+    """At most `count` of the `images`, spread over them, which differ from each other as much as possible.
 
-    With their numbers in the source, from 0. `fit` resizes them as needed. Images that cannot be read are
+    There are as many as `claimed`, 0 if unknown. `fit` resizes them as needed. Images that cannot be read are
     reported to `lost`; `seen` is called with the number of candidates so far.
     """
-    candidates: list[tuple[int, ColourImage]] = []
-    for number, image in _spread(source, _CANDIDATES_PER_IMAGE * count, candidates, lost):
-        candidates.append((number, fit(image)))
-        seen(len(candidates))
-    thumbnails = [
-        cv2.resize(image.pixels, _THUMBNAIL_WH, interpolation=cv2.INTER_AREA).ravel()
-        for _, image in candidates
-    ]
-    return [candidates[index] for index in farthest(np.array(thumbnails, np.float32), count)]
-
-
-def _spread(
-    source: Source, limit: int, candidates: list[tuple[int, ColourImage]], lost: Lost
-) -> Iterator[tuple[int, ColourImage]]:
-    """Every n-th image and its number.
-
-    When there are `limit` candidates, every other one is dropped and n doubled.
-    """
-    stride = max(1, math.ceil(source.claimed / limit))
-    for number, stored in enumerate(source.images):
+    candidates: list[ColourImage] = []
+    limit = _CANDIDATES_PER_IMAGE * count
+    stride = max(1, math.ceil(claimed / limit))
+    for number, stored in enumerate(images):
         if len(candidates) >= limit:
             del candidates[1::2]
             stride *= 2
         if number % stride == 0:
             try:
-                image = stored.load()
+                candidates.append(fit(stored.load()))
             except ImageError as error:
                 lost(stored.label, error)
             else:
-                yield number, image
+                seen(len(candidates))
+    thumbnails = [
+        cv2.resize(image.pixels, _THUMBNAIL_WH, interpolation=cv2.INTER_AREA).ravel() for image in candidates
+    ]
+    return [candidates[index] for index in farthest(np.array(thumbnails, np.float32), count)]
 
 
 def farthest(thumbnails: NDArray[np.floating], count: int) -> list[int]:

@@ -13,17 +13,12 @@ from pathlib import Path
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.detector import check_image_size
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.evaluation.ground_truth import Problems
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.cost import checked_cost, size_multiple
 from yolov5_lifecycle.offline.calibrate.arguments import command_parser
-from yolov5_lifecycle.offline.calibrate.calibration_images import (
-    CalibrationData,
-    fitted,
-    read_calibration_data,
-)
-from yolov5_lifecycle.offline.calibrate.measuring import SENSITIVITY_FRAMES, Calibrating, Worth, map_loss
-from yolov5_lifecycle.offline.evaluate.arguments import DataOptions
+from yolov5_lifecycle.offline.calibrate.calibration_images import fitted, read_calibration_images
+from yolov5_lifecycle.offline.calibrate.measuring import SENSITIVITY_FRAMES, Calibrating, Worth
 from yolov5_lifecycle.offline.terminal import Terminal, exit_code
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import write_output
@@ -50,24 +45,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def report(calibration: Calibration, worth: Worth, path: Path) -> str:
     """Summary for the user."""
-    lines = [
-        f"{'':24}{'ms per image':>14}{'processor ms':>14}{'agreement F1':>14}{'box IoU':>10}{'mAP loss':>10}"
-    ]
+    lines = [f"{'':24}{'ms per image':>14}{'processor ms':>14}{'agreement F1':>14}{'box IoU':>10}"]
     for each in worth.measured:
         times = f"{each.taken.wall_ms:14.1f}{each.taken.processor_ms:14.1f}"
-        is_known = each.precision == "int8" and isinstance(worth.map_loss, float)
-        loss = f"{worth.map_loss:10.2f}" if is_known else ""
         name = f"{each.precision} in {each.runtime}"
-        lines.append(f"{name:24}{times}{each.f1:14.3f}{each.box_iou:10.3f}{loss}")
+        lines.append(f"{name:24}{times}{each.f1:14.3f}{each.box_iou:10.3f}")
     layers, kept = len(calibration.ranges), len(calibration.fp32_layers)
-    unknown = f"unknown: {in_one_line(worth.map_loss, _MAX_PATH)}" if isinstance(worth.map_loss, str) else ""
-    meaning = f"points of mAP@50:95 that int8 loses against fp32 in {COARSE_RUNTIME}, by the labels"
     return "\n".join(
         (
             *lines,
             f"detections  {worth.detections} of fp32 were compared",
             f"layers      {layers - kept} in int8, {kept} and the last one in fp32",
-            f"mAP loss    {unknown or meaning}",
             f"processor   {', '.join(abilities())}",
             f"written     {in_one_line(str(path), _MAX_PATH)}",
             verdict(worth, calibration.image_size),
@@ -98,33 +86,30 @@ def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
     weights = load_weights(arguments.weights)
     path: Path = arguments.output or path_beside(weights.path)
     _check_output(path)
-    problems = Problems(terminal.tell)
-    data = _data(arguments, weights.model.architecture, problems, terminal)
+    images = _images(arguments, weights.model.architecture, terminal)
     selection = Selection(
         confidence_threshold=settings.confidence_threshold, iou_threshold=settings.iou_threshold
     )
-    calibrating = Calibrating(weights.model, data.images, selection=selection, tell=terminal.begin)
+    calibrating = Calibrating(weights.model, images, selection=selection, tell=terminal.begin)
     quantization = calibrating.quantization()
-    loss = partial(map_loss, data.labelled, weights, settings, observer=terminal, problems=problems)
-    worth = calibrating.worth(quantization, loss)
+    worth = calibrating.worth(quantization)
     calibration = Calibration.of(quantization, weights.sha256, settings.image_size)
     write_calibration(path, calibration)
     return report(calibration, worth, path)
 
 
-def _data(
-    arguments: argparse.Namespace, architecture: Architecture, problems: Problems, terminal: Terminal
-) -> CalibrationData:
+def _images(
+    arguments: argparse.Namespace, architecture: Architecture, terminal: Terminal
+) -> list[ColourImage]:
     """The images as the network receives them; raises ValueError for a size that it does not take."""
     stride = size_multiple(architecture)
     check_image_size(arguments.image_size, stride)
     checked_cost(architecture, arguments.image_size, images=SENSITIVITY_FRAMES)
-    return read_calibration_data(
+    return read_calibration_images(
         arguments.data,
-        DataOptions(split=arguments.split, root=arguments.root, topic=arguments.topic),
+        arguments.topic,
         arguments.images,
         partial(fitted, image_size=arguments.image_size, stride=stride),
-        problems=problems,
         lost=lambda label, error: terminal.lost(label, Outcome.REJECTED, error),
         seen=lambda count: terminal.begin(f"reading: {count} images"),
     )

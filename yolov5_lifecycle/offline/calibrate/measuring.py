@@ -1,4 +1,4 @@
-"""Calibration of a model for int8, and what it is worth: speed, agreement with fp32, and the loss of mAP."""
+"""Calibration of a model for int8, and what it is worth: speed, and agreement with fp32."""
 
 from __future__ import annotations
 
@@ -9,34 +9,23 @@ from functools import partial
 import numpy as np
 import torch
 
-from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.evaluation.figures import mean_of_classes
-from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
-from yolov5_lifecycle.evaluation.matching import match
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.calibrate.calibration_images import halves
-from yolov5_lifecycle.offline.detecting import DetectingError, RunObserver
-from yolov5_lifecycle.offline.evaluate.evaluating import evaluate_models
-from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive, network_pixels
 from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 from yolov5_lifecycle.runtimes.speed import Taken, median, time_taken
-from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 Tell = Callable[[str], None]
 """Shows the current step."""
-Loss = Callable[[dict[str, Detector]], float | str]
-"""Points of mAP that the detector in int8 loses against that in fp32, or why that is unknown."""
 SENSITIVITY_FRAMES = 4
 """Max frames that the network runs at once."""
 _FP32_SHARE = 0.5
@@ -44,7 +33,6 @@ _FP32_SHARE = 0.5
 _GOOD_AGREEMENT = 0.99
 MIN_SPEEDUP = 1.15
 MIN_AGREEMENT = 0.98
-MAX_MAP_LOSS = 1.0
 MIN_DETECTIONS = 50
 _SMALLEST_IOU = 0.5
 _WARM_UPS = 3
@@ -70,8 +58,6 @@ class Worth:
     measured: Sequence[Measurement]
     detections: int
     """Detections of fp32 in the compared images; the fewer, the less is known."""
-    map_loss: float | str
-    """Points of mAP@50:95 that int8 loses against fp32, or why that is unknown."""
 
     def verdict(self) -> tuple[bool, str]:
         """Whether int8 pays, and the reason: it must be good, and faster than the fastest fp32."""
@@ -100,8 +86,6 @@ class Worth:
             )
         if f1 < MIN_AGREEMENT:
             return f"int8 agrees with fp32 to {f1:.3f} (F1), which is less than {MIN_AGREEMENT:g}"
-        if isinstance(self.map_loss, float) and self.map_loss > MAX_MAP_LOSS:
-            return f"int8 loses {self.map_loss:.1f} points of mAP, which is more than {MAX_MAP_LOSS:g}"
         return ""
 
 
@@ -152,40 +136,6 @@ def agreement(truth: Sequence[Detections], found: Sequence[Detections]) -> tuple
     return 2 * len(ious) / total if total else 1.0, float(np.mean(ious)) if ious else 0.0
 
 
-def map_loss(
-    data: LabelledFolder | None,
-    weights: WeightsFile,
-    settings: Settings,
-    detectors: Mapping[str, Detector],
-    *,
-    observer: RunObserver,
-    problems: Problems,
-) -> float | str:
-    """Points of mAP@50:95 that the second of `detectors` loses against the first, or why that is unknown.
-
-    Those of `weights`, by precision; evaluated on `data` with `settings`, as the command `evaluate` does.
-    """
-    if data is None:
-        return "DATA has no labels"
-    if absence := absence_of("pycocotools.cocoeval"):
-        return absence
-
-    def prepared(wanted: Settings, _: object) -> PreparedModel:
-        return PreparedModel(wanted, detectors[wanted.precision], weights.path, weights.sha256)
-
-    wanted = [settings.model_copy(update={"precision": precision}) for precision in detectors]
-    try:
-        classes, evaluations = evaluate_models(
-            data, wanted, observer=observer, problems=problems, prepare=prepared
-        )
-    except (DataError, DetectingError) as error:
-        return str(error)
-    first, second = (
-        float(mean_of_classes(match(each.images, classes.names).ap50_95)) for each in evaluations
-    )
-    return round(100 * (first - second), 2)
-
-
 class Calibrating:
     """Calibrates `model` on letterboxed `images` of one size.
 
@@ -215,7 +165,7 @@ class Calibrating:
         kept = [] if f1 >= _GOOD_AGREEMENT else order[: round(_FP32_SHARE * len(order))]
         return Quantization(read, frozenset(kept), self._bits)
 
-    def worth(self, quantization: Quantization, map_loss: Loss) -> Worth:
+    def worth(self, quantization: Quantization) -> Worth:
         """What int8 with `quantization` is worth on this computer."""
         wanted = [(COARSE_RUNTIME, "fp32"), (COARSE_RUNTIME, "int8")]
         if "onnxruntime" in installed_runtimes():
@@ -224,10 +174,9 @@ class Calibrating:
             wanted.append((COARSE_RUNTIME, "bf16"))
         detectors = {each: self._detector(*each, quantization) for each in wanted}
         measurements, found = measured(detectors, self._compared, self._selection, self._tell)
-        lost = map_loss({precision: detectors[COARSE_RUNTIME, precision] for precision in ("fp32", "int8")})
         for detector in detectors.values():
             detector.close()
-        return Worth(measurements, found, lost)
+        return Worth(measurements, found)
 
     def _activations(self) -> tuple[dict[str, Activation], list[str]]:
         """The activations that convolutions read, and the paths of these, the most sensitive first."""

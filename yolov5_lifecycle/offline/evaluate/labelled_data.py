@@ -29,15 +29,6 @@ def kind_of(source: Path) -> str:
     )
 
 
-def has_labels(source: Path) -> bool:
-    """Whether `source` is a data set in YOLO or COCO format rather than images, a video or a recording."""
-    if not source.is_dir():
-        return source.suffix.lower() in (".json", *YAML_SUFFIXES)
-    if is_recording(source):
-        return False
-    return (source / "data.yaml").is_file() or all((source / name).is_dir() for name in ("images", "labels"))
-
-
 def labelled_data(source: Path, options: DataOptions, problems: Problems) -> LabelledFolder:
     """The images and labels of `source`. Problems with single images are added to `problems`.
 

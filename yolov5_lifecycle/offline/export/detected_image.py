@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -27,12 +26,8 @@ class NamedImage(StoredImage, Protocol):
         """What tells it from the others: `file`, `frame`, or `stamp_ns` and `frame`. Raises ImageError."""
 
     @property
-    def number(self) -> int:
-        """Its number in the source, from 0."""
-
-    @property
     def stem(self) -> str:
-        """Name of files about this image, without a suffix; others may have it, too. Raises ImageError."""
+        """Name of files about this image, without a suffix; raises ImageError."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +37,6 @@ class DetectedImage:
     named: NamedImage
     image: ColourImage
     detections: Detections
-    names: dict[str, int]
-    """The number of the image that each name is of, whatever its case; grows by the names that are asked."""
-
-    @cached_property
-    def name(self) -> str:
-        """Its stem, with its number if an earlier image has that name.
-
-        `_frame_` sorts it behind the files of the first image of that name.
-        """
-        name, number = self.named.stem, self.named.number
-        while self.names.setdefault(name.casefold(), number) != number:
-            name += f"_frame_{number:06}"
-        return name
 
     def mask(self, row: int) -> tuple[dict[str, object], int] | None:
         """COCO's RLE of the mask of detection `row` and its number of pixels; None without masks."""

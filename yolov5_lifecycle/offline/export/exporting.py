@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
@@ -14,7 +13,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
-from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, JsonLines, check_stems
+from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, check_stems
 from yolov5_lifecycle.offline.export.image_outputs import (
     AnnotatedImages,
     AnnotatedVideo,
@@ -61,16 +60,6 @@ class Export:
             )
             yield replace(self, path=path, crops=crops, annotated=annotated)
 
-    def sinks(self, detector: OfflineDetector) -> Iterator[Sink]:
-        """Open the outputs for detections of `detector`, except a recording and drawings; raises OSError."""
-        names = detector.class_names
-        if self.crops is not None:
-            yield Crops(self.crops, names)
-        if self.path is None:
-            yield JsonLines(None, names, masks=self.masks)
-        elif self.suffix:
-            yield FORMATS[self.suffix](self.path, names, masks=self.masks)
-
 
 def write_files(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
     """Write the detections in the images or the video `source`; what is written stays on failure.
@@ -103,18 +92,21 @@ def export_images(
     Raises OutputError, OSError, DetectingError and what `load` raises; then the outputs are damaged.
     """
     detector = load()
-    names: dict[str, int] = {}
+    sinks: list[Sink] = []
+
+    def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
+        found = DetectedImage(named, image, detections)
+        for sink in sinks:
+            sink.add(found)
+
     with ExitStack() as stack:
-        sinks = []
-        for sink in chain([further(detector)] if further else [], export.sinks(detector)):
-            stack.callback(sink.close)
-            sinks.append(sink)
-
-        def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
-            found = DetectedImage(named, image, detections, names)
-            for sink in sinks:
-                sink.add(found)
-
+        if further is not None:
+            sinks.append(stack.enter_context(closing(further(detector))))
+        if export.crops is not None:
+            sinks.append(Crops(export.crops, detector.class_names))
+        if export.suffix:
+            new = FORMATS[export.suffix](export.path, detector.class_names, masks=export.masks)
+            sinks.append(stack.enter_context(closing(new)))
         statistics = detector.run(images, expected=expected, write=write)
         for sink in sinks:
             sink.finish()

@@ -6,54 +6,50 @@ import csv
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import yaml
 
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.process.missing_package import absence_of
 
 JSON_LINES, YOLO = ".jsonl", ".yolo"
 """Suffixes: JSON lines are the format of images and videos whose output has no suffix."""
-COLUMNS = {
-    "width": "int32",
-    "height": "int32",
-    "class_id": "int32",
-    "class_name": "string",
-    "score": "float32",
-    "x_min": "float32",
-    "y_min": "float32",
-    "x_max": "float32",
-    "y_max": "float32",
-    "id": "string",
-}
-"""Names and types of the columns behind those that identify the image; boxes in image pixels."""
-_GROUP_ROWS = 1 << 16
-"""Rows that are held in memory before they are written."""
+COLUMNS = (
+    *("width", "height", "class_id", "class_name", "score"),
+    *("x_min", "y_min", "x_max", "y_max", "id"),
+)
+"""Names of the columns behind those that identify the image; boxes in image pixels."""
 
 
 class Format(Sink):
-    """A format of exported detections, written to a new file or folder."""
+    """A format of exported detections."""
 
     description: str
     has_masks = False
     has_ids = True
-    package = ""
-    """The package that writes it; "" if this one does."""
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        """`masks`: whether to write the masks of a segmentation model, if the format has some."""
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
+        """Write to the new file `path`, or to stdout.
+
+        `masks`: whether to write the masks of a segmentation model, if the format has some.
+        """
         self._class_names = class_names
         self._masks = masks
+        self._file = (
+            sys.stdout if path is None else path.open("w", encoding="utf-8", errors="backslashreplace")
+        )
+
+    def close(self) -> None:
+        if self._file is not sys.stdout:
+            self._file.close()
 
 
 class JsonLines(Format):
-    """Writes a line for each image to the new file `path`, or to stdout.
+    """Writes a line for each image.
 
     A line has the identity of the image, its size and its detections, boxes in image pixels. With `masks`
     each detection that has a mask gets it as COCO's RLE of the whole image.
@@ -61,11 +57,6 @@ class JsonLines(Format):
 
     description = "JSON lines"
     has_masks = True
-
-    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
-        self._class_names = class_names
-        self._masks = masks
-        self._file = None if path is None else path.open("w", encoding="utf-8")
 
     def add(self, found: DetectedImage) -> None:
         height, width = found.image.size_hw
@@ -77,11 +68,7 @@ class JsonLines(Format):
             if self._masks and (mask := found.mask(row)) is not None:
                 objects[row]["mask"], _ = mask
         content = {**found.named.identity, "width": width, "height": height, "detections": objects}
-        (self._file or sys.stdout).write(json.dumps(content) + "\n")
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
+        self._file.write(json.dumps(content) + "\n")
 
 
 class CocoJson(Format):
@@ -93,11 +80,10 @@ class CocoJson(Format):
     description = "COCO"
     has_masks = True
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
         super().__init__(path, class_names, masks=masks)
         self._images: list[str] = []
         self._objects = 0
-        self._file = path.open("w", encoding="utf-8")
         self._file.write('{"annotations": [')
 
     def add(self, found: DetectedImage) -> None:
@@ -113,14 +99,11 @@ class CocoJson(Format):
         self._file.write(f'],\n"images": [\n{images}],\n"categories": {json.dumps(categories)}}}\n')
         self.close()
 
-    def close(self) -> None:
-        self._file.close()
-
     def _image(self, found: DetectedImage) -> dict[str, object]:
         height, width = found.image.size_hw
         identity = dict(found.named.identity)
         file = identity.pop("file", None)
-        name = found.name if file is None else Path(str(file)).name
+        name = found.named.stem if file is None else Path(str(file)).name
         return {"id": len(self._images) + 1, "file_name": name, "width": width, "height": height, **identity}
 
     def _annotation(self, found: DetectedImage, row: int) -> dict[str, object]:
@@ -141,98 +124,30 @@ class CocoJson(Format):
         return annotation
 
 
-def _table_rows(found: DetectedImage, class_names: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    """The rows of an image in the order of its identity and COLUMNS; `id` is None without a track."""
-    height, width = found.image.size_hw
-    identity = tuple(map(_utf8, found.named.identity.values()))
-    detections = found.detections
-    for one, class_id in zip(detections.objects(class_names), detections.class_ids.tolist(), strict=True):
-        yield (
-            *identity,
-            *(width, height, class_id, one.class_name, one.score, *one.box_xyxy),
-            one.track_id or None,
-        )
-
-
 class CsvTable(Format):
-    """Writes a table with the names of the columns in its first line."""
+    """Writes a table with the names of the columns in its first line; `id` is empty without a track."""
 
     description = "CSV"
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
         super().__init__(path, class_names, masks=masks)
-        self._file = path.open("w", encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._has_header = False
 
     def add(self, found: DetectedImage) -> None:
+        identity, detections = found.named.identity, found.detections
         if not self._has_header:
-            self._writer.writerow((*found.named.identity, *COLUMNS))
+            self._writer.writerow((*identity, *COLUMNS))
             self._has_header = True
-        self._writer.writerows(_table_rows(found, self._class_names))
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class ParquetTable(Format):
-    """Writes the same table in groups of rows; needs pyarrow."""
-
-    description = "Parquet"
-    package = "pyarrow"
-
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        super().__init__(path, class_names, masks=masks)
-        self._file = path.open("wb")
-        self._schema: Any = None
-        self._writer: Any = None
-        self._rows: list[tuple[object, ...]] = []
-
-    def add(self, found: DetectedImage) -> None:
-        if self._writer is None:
-            self._begin(found)
-        self._rows.extend(_table_rows(found, self._class_names))
-        if len(self._rows) >= _GROUP_ROWS:
-            self._write_rows()
-
-    def finish(self) -> None:
-        if self._writer is not None:
-            self._write_rows()
-        self.close()
-
-    def close(self) -> None:
-        writer, self._writer = self._writer, None
-        try:
-            if writer is not None:
-                writer.close()
-        finally:
-            self._file.close()
-
-    def _begin(self, found: DetectedImage) -> None:
-        import pyarrow
-        from pyarrow import parquet
-
-        identity = found.named.identity
-        kinds = ("string" if isinstance(value, str) else "int64" for value in identity.values())
-        types = {**dict(zip(identity, kinds, strict=True)), **COLUMNS}
-        self._schema = pyarrow.schema([(column, getattr(pyarrow, kind)()) for column, kind in types.items()])
-        self._writer = parquet.ParquetWriter(self._file, self._schema)
-
-    def _write_rows(self) -> None:
-        import pyarrow
-
-        rows = [dict(zip(self._schema.names, row, strict=True)) for row in self._rows]
-        self._writer.write_table(pyarrow.Table.from_pylist(rows, self._schema))
-        self._rows.clear()
-
-
-def _utf8(value: str | int) -> str | int:
-    """`value` for formats that are UTF-8 throughout: other bytes of a file name become escapes."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+        height, width = found.image.size_hw
+        objects = detections.objects(self._class_names)
+        for one, class_id in zip(objects, detections.class_ids.tolist(), strict=True):
+            row = (width, height, class_id, one.class_name, one.score, *one.box_xyxy, one.track_id)
+            self._writer.writerow((*identity.values(), *row))
 
 
 class YoloFolder(Format):
-    """Writes `labels/<image>.txt` for each image, and `data.yaml` with the classes.
+    """Writes `labels/<image>.txt` for each image to the new folder `path`, and `data.yaml` with the classes.
 
     An image without detections has an empty file. The data set is complete once its images are in `images`.
     """
@@ -240,13 +155,13 @@ class YoloFolder(Format):
     description = "a folder of YOLO text"
     has_ids = False
 
-    def __init__(self, path: Path, class_names: Sequence[str], *, masks: bool) -> None:
-        super().__init__(path, class_names, masks=masks)
+    def __init__(self, path: Path | None, class_names: Sequence[str], *, masks: bool) -> None:
+        assert path is not None
         self._labels = path / "labels"
         self._labels.mkdir(parents=True)
+        super().__init__(path / "data.yaml", class_names, masks=masks)
         description = {"train": "images", "val": "images", "names": dict(enumerate(class_names))}
-        text = yaml.safe_dump(description, allow_unicode=True, sort_keys=False)
-        (path / "data.yaml").write_text(text, encoding="utf-8")
+        yaml.safe_dump(description, self._file, allow_unicode=True, sort_keys=False)
 
     def add(self, found: DetectedImage) -> None:
         lines = "".join(
@@ -255,7 +170,7 @@ class YoloFolder(Format):
                 found.detections.class_ids.tolist(), _relative_boxes(found), strict=True
             )
         )
-        with (self._labels / f"{found.name}.txt").open("x", encoding="ascii") as file:
+        with (self._labels / f"{found.named.stem}.txt").open("x", encoding="ascii") as file:
             file.write(lines)
 
 
@@ -270,7 +185,7 @@ def check_stems(images: Sequence[NamedImage]) -> None:
 
 
 def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, float]]:
-    """Centre, width and height of each box inside the image, as shares of the image."""
+    """Centre, width and height of the part of each box inside the image, as shares of the image."""
     height, width = found.image.size_hw
     return [
         ((x1 + x2) / 2 / width, (y1 + y2) / 2 / height, (x2 - x1) / width, (y2 - y1) / height)
@@ -279,7 +194,7 @@ def _relative_boxes(found: DetectedImage) -> list[tuple[float, float, float, flo
 
 
 FORMATS: Mapping[str, type[Format]] = MappingProxyType(
-    {JSON_LINES: JsonLines, ".json": CocoJson, ".csv": CsvTable, ".parquet": ParquetTable, YOLO: YoloFolder}
+    {JSON_LINES: JsonLines, ".json": CocoJson, ".csv": CsvTable, YOLO: YoloFolder}
 )
 """By suffix of the output."""
 
@@ -288,13 +203,6 @@ def format_suffix(output: Path) -> str:
     """The key in FORMATS that the name of `output` ends in, whatever its case; "" if it ends in none."""
     suffix = output.suffix.lower()
     return suffix if suffix in FORMATS else ""
-
-
-def check_format(suffix: str) -> None:
-    """Raise OutputError if the package that writes the format `suffix` is missing."""
-    package = FORMATS[suffix].package if suffix else ""
-    if package and (absence := absence_of(package)):
-        raise OutputError(f"{suffix} needs the package {package}: {absence}")
 
 
 def check_export_name(output: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,8 +25,6 @@ MAX_CROPS = 1_000_000
 MIN_FREE_BYTES = 256 << 20
 """Of the disk: what crops leave free."""
 _MAX_NAME_LETTERS = 40
-_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
-_HEADER_BYTES = 16
 _LENGTH_FOLLOWS = 1
 """In place of the length of an MP4 box: 64 bits behind its name have it."""
 
@@ -49,8 +48,8 @@ def write_image(path: Path, drawn: ColourImage) -> None:
 
 def check_video_name(path: Path) -> None:
     """Raise OutputError for an unknown format, and for a path that is not UTF-8."""
-    if path.suffix.lower() not in _CODECS:
-        raise OutputError(f"{path.name}: expected a video file name that ends in {' or '.join(_CODECS)}.")
+    if path.suffix.lower() != ".mp4":
+        raise OutputError(f"{path.name}: expected a video file name that ends in .mp4.")
     if not is_utf8(str(path)):  # OpenCV 5.0 crashes
         raise OutputError(
             f"{in_one_line(path.name)}: the path of an annotated video must be UTF-8: "
@@ -108,47 +107,35 @@ class AnnotatedVideo(Sink):
             self._writer.release()
 
     def _opened(self, size_hw: tuple[int, int]) -> Any:
-        codec = cv2.VideoWriter.fourcc(*_CODECS[self._path.suffix.lower()])
+        codec = cv2.VideoWriter.fourcc(*"mp4v")
         writer = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size_hw[::-1])
         if not writer.isOpened():
-            others = " or ".join(suffix for suffix in _CODECS if suffix != self._path.suffix.lower())
             raise OutputError(
-                f"{self._path.name}: this OpenCV build cannot write this video format; try {others}."
+                f"{self._path.name}: OpenCV cannot write an .mp4 of {self._rate_hz:g} frames per second. "
+                "Install opencv-python-headless, or convert the source to another rate with FFmpeg."
             )
         return writer
 
 
 def is_whole_video(path: Path) -> bool:
-    """Whether the chunks of the .mp4 or .avi file end where it ends, with its index; raises OSError.
+    """Whether the boxes of the .mp4 file end where it ends, with its index; raises OSError.
 
     OpenCV's writer reports no error when the disk is full, and in a file without its last bytes it may find
-    all frames. But both formats are a sequence of chunks that begin with their length: a missing end shows.
+    all frames. But the format is a sequence of boxes that begin with their length: a missing end shows.
     """
-    is_avi = path.suffix.lower() == ".avi"
-    length_of = _riff_length if is_avi else _box_length
-    size, end, names = path.stat().st_size, 0, []
+    size, end, names = path.stat().st_size, 0, set()
     with path.open("rb") as file:
         while end < size:
             file.seek(end)
-            name, length = length_of(file.read(_HEADER_BYTES))
+            header = file.read(16)
+            length = int.from_bytes(header[:4], "big")
+            if length == _LENGTH_FOLLOWS:
+                length = int.from_bytes(header[8:], "big")
             if length == 0:  # unknown while it was written
                 return False
-            names.append(name)
+            names.add(header[4:8])
             end += length
-    needed = {b"RIFF"} if is_avi else {b"mdat", b"moov"}
-    return end == size and needed <= set(names)
-
-
-def _riff_length(header: bytes) -> tuple[bytes, int]:
-    """Name and length of a chunk of an .avi file; files of more than 1 GB have several."""
-    length = int.from_bytes(header[4:8], "little")
-    return header[:4], length + 8 if length else 0
-
-
-def _box_length(header: bytes) -> tuple[bytes, int]:
-    """Name and length of a box of an .mp4 file."""
-    length = int.from_bytes(header[:4], "big")
-    return header[4:8], int.from_bytes(header[8:16], "big") if length == _LENGTH_FOLLOWS else length
+    return end == size and {b"mdat", b"moov"} <= names
 
 
 class Crops(Sink):
@@ -160,42 +147,31 @@ class Crops(Sink):
     def __init__(self, path: Path, class_names: Sequence[str]) -> None:
         path.mkdir()
         self._path = path
-        self._class_names = class_names
+        # Letters, digits and - stay; all else becomes _.
+        names = (re.sub(r"[^\w-]", "_", name)[:_MAX_NAME_LETTERS] for name in class_names)
+        self._folders = [path / f"{number}_{name}" for number, name in enumerate(names)]
         self._count = 0
 
     def add(self, found: DetectedImage) -> None:
         """Write the crops; raises OutputError beyond MAX_CROPS, and OSError when the disk is nearly full."""
-        self._check_room(found)
+        self._check_room(len(found.detections))
+        height, width = found.image.size_hw
+        name = Path(str(found.named.identity.get("file", found.named.stem))).name  # a.png is not a.jpg
         for row, class_id in enumerate(found.detections.class_ids.tolist()):
-            folder = self._path / f"{class_id}_{_safe(self._class_names[class_id])}"
-            folder.mkdir(exist_ok=True)
-            write_image(folder / f"{found.name}_{row}.jpg", _crop(found, row))
+            x1, y1, x2, y2 = found.inside_xyxy[row].tolist()
+            left, top = min(int(x1), width - 1), min(int(y1), height - 1)
+            right, bottom = max(int(np.ceil(x2)), left + 1), max(int(np.ceil(y2)), top + 1)
+            touched = ColourImage(found.image.pixels[top:bottom, left:right], found.image.order)
+            self._folders[class_id].mkdir(exist_ok=True)
+            write_image(self._folders[class_id] / f"{name}_{row}.jpg", touched)
 
-    def _check_room(self, found: DetectedImage) -> None:
-        self._count += len(found.detections)
+    def _check_room(self, count: int) -> None:
+        self._count += count
         if self._count > MAX_CROPS:
             raise OutputError(
                 f"--crops: more than {MAX_CROPS:,} detections: raise confidence_threshold, select classes, "
                 "or divide the source."
             )
-        if len(found.detections) and shutil.disk_usage(self._path).free < MIN_FREE_BYTES:
-            raise OSError(
-                errno.ENOSPC,
-                f"less than {MIN_FREE_BYTES >> 20} MiB are free, which --crops leaves",
-                str(self._path),
-            )
-
-
-def _safe(class_name: str) -> str:
-    """`class_name` as a part of a file name: letters, digits, - and _ stay, all else becomes _."""
-    kept = (letter if letter.isalnum() or letter == "-" else "_" for letter in class_name)
-    return "".join(kept)[:_MAX_NAME_LETTERS]
-
-
-def _crop(found: DetectedImage, row: int) -> ColourImage:
-    """The pixels that the box touches, at least one."""
-    height, width = found.image.size_hw
-    x1, y1, x2, y2 = found.inside_xyxy[row].tolist()
-    left, top = min(int(x1), width - 1), min(int(y1), height - 1)
-    right, bottom = max(int(np.ceil(x2)), left + 1), max(int(np.ceil(y2)), top + 1)
-    return ColourImage(found.image.pixels[top:bottom, left:right], found.image.order)
+        if count and shutil.disk_usage(self._path).free < MIN_FREE_BYTES:
+            reason = f"less than {MIN_FREE_BYTES >> 20} MiB are free, which --crops leaves"
+            raise OSError(errno.ENOSPC, reason, str(self._path))

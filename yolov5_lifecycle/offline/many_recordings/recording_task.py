@@ -1,14 +1,19 @@
-"""Detection in one recording after the other with one model."""
+"""Detection in one recording after the other with one model, and the worker process that does it."""
 
 from __future__ import annotations
 
 import errno
+import os
+import signal
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any, NoReturn
 
-from yolov5_lifecycle.atomic_file import whole_output
+from yolov5_lifecycle.atomic_file import OutputError, whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
 from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, RunStatistics, prepared_for
 from yolov5_lifecycle.offline.export.exporting import write_files
@@ -18,13 +23,12 @@ from yolov5_lifecycle.offline.many_recordings.results import (
     Record,
     RecordingResult,
     finished_before,
-    is_replaceable,
     recording_digest,
-    result_bytes,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.process.standard_streams import complain
+from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
@@ -43,13 +47,12 @@ class RecordingTask:
     """
 
     def __init__(self, plan: Plan, on_image: OnImage, *, prepare: Prepare = prepare_model) -> None:
-        self._plan = plan
         self._on_image = on_image
         self._first_problem = ""
         self._prepared = prepared_for(plan.settings, prepare)
-        self.runtime = self._prepared.detector.runtime.name
-        self.precision = self._prepared.detector.runtime.precision
-        self._detector()  # refuses classes that the model does not have
+        runtime = self._prepared.detector.runtime
+        self.plan = plan.chosen(runtime.name, runtime.precision)
+        self._detector()  # what is missing for these settings is told now, once
 
     def run(self, source: SourceRecording) -> RecordingResult | DetectingError:
         """Write the result of `source`, unless it exists; return its row, with the reason if that failed.
@@ -65,7 +68,7 @@ class RecordingTask:
             if isinstance(error.__cause__, DeviceLostError):
                 raise error.__cause__ from None
             if getattr(error, "errno", None) in _NO_ROOM:
-                return DetectingError(in_lines(f"{self._plan.output}: {error}"))
+                return DetectingError(in_lines(f"{self.plan.output}: {error}"))
             return RecordingResult(
                 recording=source.name,
                 path=str(source.path),
@@ -82,10 +85,15 @@ class RecordingTask:
         self._on_image(statistics.outcomes.total())
 
     def _result(self, source: SourceRecording, begun_s: float) -> RecordingResult:
-        if (finished := finished_before(source, self._plan)) is not None:
+        if (finished := finished_before(source, self.plan)) is not None:
             return finished  # perhaps by a worker that was then killed
-        target, digest = self._plan.output / source.name, recording_digest(source.path)
-        with whole_output(target, replace=is_replaceable(target)) as unfinished:
+        target, digest = self.plan.output / source.name, recording_digest(source.path)
+        if os.path.lexists(target):
+            raise OutputError(
+                f"{target} exists and is not replaced, as it was made from other weights, settings or files: "
+                "remove it, or choose another --output."
+            )
+        with whole_output(target) as unfinished:
             statistics = self._detect(source.path, unfinished)
             result = RecordingResult(
                 recording=source.name,
@@ -93,15 +101,14 @@ class RecordingTask:
                 state="done",
                 first_problem=self._first_problem,
                 seconds=round(time.monotonic() - begun_s, 3),
-                runtime=self.runtime,
+                runtime=self.plan.settings.runtime,
                 detections={name: statistics.objects[name] for name in self._prepared.detector.class_names},
                 **statistics.counts,
             )
             Record(
-                weights_sha256=self._plan.settings.weights_sha256,
-                settings_sha256=self._plan.settings_sha256,
+                weights_sha256=self.plan.settings.weights_sha256,
+                settings_sha256=self.plan.settings_sha256,
                 recording_sha256=digest,
-                result_bytes=result_bytes(unfinished),
                 result=result,
             ).write(unfinished)
             if recording_digest(source.path) != digest:
@@ -109,7 +116,7 @@ class RecordingTask:
         return result
 
     def _detect(self, source: Path, unfinished: Path) -> RunStatistics:
-        export = self._plan.export
+        export = self.plan.export
         suffix = export.suffix or (JSON_LINES if is_video(source) else "")
         if suffix:
             unfinished.mkdir()
@@ -126,5 +133,33 @@ class RecordingTask:
     def _detector(self) -> OfflineDetector:
         """A detector with the same model and a tracker of its own."""
         return OfflineDetector(
-            self._plan.settings, self._prepared, self, with_masks=self._plan.export.needs_masks
+            self.plan.settings, self._prepared, self, with_masks=self.plan.export.needs_masks
         )
+
+
+def main(descriptor: int) -> NoReturn:
+    """Work for the other end of the socket with this `descriptor`, until that is closed."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    os.set_inheritable(descriptor, False)
+    try:
+        _serve(Connection(descriptor))
+    except (EOFError, ConnectionError):
+        pass  # nobody waits for the results any more
+    except Exception as error:  # noqa: BLE001 - whatever it is, the process ends
+        complain("detect_bag", f"a worker ends: {type(error).__name__}: {error}")
+    finally:
+        os._exit(1)  # freeing a model takes longer than ending
+
+
+def _serve(connection: Connection[Any, Any]) -> None:
+    """Answer a plan with what was chosen for it, and then each recording with its result."""
+    plan = connection.recv()
+    try:
+        task = RecordingTask(plan, connection.send)
+    except (ValueError, OSError, ImportError, InferenceError) as error:
+        connection.send(DetectingError(in_lines(str(error) or type(error).__name__)))
+        return
+    connection.send(task.plan)
+    while True:
+        connection.send(task.run(connection.recv()))

@@ -1,26 +1,34 @@
-"""The plan for many recordings, the result of each, and the record that says it is finished."""
+"""The plan for many recordings, the result of each, the record that says it is finished, and the summary."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+import time
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from yolov5_lifecycle.atomic_file import OutputError, atomic_write
 from yolov5_lifecycle.checkpoints.locate import weights_digest
 from yolov5_lifecycle.detection.prepared_model import weights_path
-from yolov5_lifecycle.folder_listing import FolderTree
+from yolov5_lifecycle.offline.detecting import RunStatistics
 from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
+from yolov5_lifecycle.offline.terminal import report
 from yolov5_lifecycle.quantization.calibration_file import calibration_digest
 from yolov5_lifecycle.settings.settings import Settings, validated
 
 RECORD_NAME = "detect_bag.json"
+SUMMARY_NAME = "summary.json"
+_BEGIN = b'{\n "weights": "'
+_COUNTED = tuple(RunStatistics(0).counts)
+"""Columns of a row that are summed up for all recordings."""
 _PLACE_OF_WEIGHTS = {"model_size", "weights", "weights_dir", "weights_dirs", "weights_sha256"}
 """Settings that say where the model is, not which one it is."""
 
@@ -99,7 +107,7 @@ class RecordingResult(BaseModel):
 
 
 class Record(BaseModel):
-    """What a finished result was made from, its files, and its row of the summary."""
+    """What a finished result was made from, and its row of the summary."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -107,67 +115,25 @@ class Record(BaseModel):
     settings_sha256: str
     recording_sha256: str
     """See `recording_digest`."""
-    result_bytes: dict[str, int]
-    """Size of each of its files."""
     result: RecordingResult
 
     def write(self, folder: Path) -> None:
-        atomic_write(folder / RECORD_NAME, self.model_dump_json(indent=1).encode() + b"\n", is_durable=False)
-
-
-def read_record(folder: Path) -> Record | None:
-    """The record of the result in `folder`; None if there is none that is valid and of that name."""
-    try:
-        record = Record.model_validate_json((folder / RECORD_NAME).read_bytes())
-    except (OSError, ValidationError):
-        return None
-    return record if record.result.recording == folder.name else None
+        (folder / RECORD_NAME).write_text(self.model_dump_json(indent=1) + "\n", encoding="utf-8")
 
 
 def finished_before(source: SourceRecording, plan: Plan) -> RecordingResult | None:
-    """The row of a recording whose result is whole and was made from the same; None if there is none."""
-    folder = plan.output / source.name
-    if (record := read_record(folder)) is None:
-        return None
-    wanted = plan.settings.weights_sha256, plan.settings_sha256
+    """The row of a recording whose result was made from the same; None if there is none."""
     try:
-        is_same = (
-            (record.weights_sha256, record.settings_sha256) == wanted
-            and record.recording_sha256 == recording_digest(source.path)
-            and record.result_bytes.items() <= result_bytes(folder).items()
-        )
-    except OSError:
+        record = Record.model_validate_json((plan.output / source.name / RECORD_NAME).read_bytes())
+        digest = recording_digest(source.path)
+    except (OSError, ValidationError):
         return None
-    return (
-        record.result.model_copy(update={"state": "skipped", "path": str(source.path)}) if is_same else None
+    wanted = plan.settings.weights_sha256, plan.settings_sha256, digest
+    if (record.weights_sha256, record.settings_sha256, record.recording_sha256) != wanted:
+        return None
+    return record.result.model_copy(
+        update={"state": "skipped", "recording": source.name, "path": str(source.path)}
     )
-
-
-def is_replaceable(folder: Path) -> bool:
-    """Whether `folder` is an earlier result, False if it does not exist.
-
-    Raises OutputError if it has something that is not of `detect_bag`, and OSError.
-    """
-    if not folder.exists():
-        return False
-    if (record := read_record(folder)) is None:
-        raise OutputError(f"{folder} exists and has no record of detect_bag: move or remove it.")
-    if added := sorted(result_bytes(folder).keys() - record.result_bytes.keys()):
-        raise OutputError(
-            f"{folder} is not replaced because it also contains {', '.join(added)}: move that elsewhere."
-        )
-    return True
-
-
-def result_bytes(folder: Path) -> dict[str, int]:
-    """Size of each file or folder in the result `folder`, without the record; raises OSError."""
-    return {
-        path.name: sum(file.lstat().st_size for file in FolderTree().files(path))
-        if path.is_dir()
-        else path.lstat().st_size
-        for path in folder.iterdir()
-        if path.name != RECORD_NAME
-    }
 
 
 def recording_digest(recording: Path) -> str:
@@ -176,3 +142,90 @@ def recording_digest(recording: Path) -> str:
     if recording.is_dir():
         files = sorted(path for path in recording.iterdir() if is_storage(path) or path.name == METADATA)
     return _sha256(repr([(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]))
+
+
+class Batch:
+    """The results of a run over `count` recordings; `str` of it is a summary for the user."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.results: dict[str, RecordingResult] = {}
+        self.begun_s = time.monotonic()
+        """When the first model was loaded."""
+        self._in_progress: dict[str, int] = {}
+
+    def progress(self, recording: str, images: int) -> None:
+        """So many images of `recording` are done; any thread may call it."""
+        self._in_progress[recording] = images
+
+    def add(self, result: RecordingResult) -> None:
+        self._in_progress.pop(result.recording, None)
+        self.results[result.recording] = result
+
+    @property
+    def images(self) -> int:
+        """Images of this run, of unfinished recordings too."""
+        done = (result.images for result in self.results.values() if result.state == "done")
+        return sum(done) + sum(self._in_progress.values())
+
+    @property
+    def rate_hz(self) -> float:
+        """Images per second of all workers together."""
+        return self.images / max(time.monotonic() - self.begun_s, 1e-9)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every recording has a result with all its images."""
+        return not any(result.state == "failed" or result.missing for result in self.results.values())
+
+    @property
+    def states(self) -> dict[str, int]:
+        """How many recordings are in each state."""
+        counts = Counter(result.state for result in self.results.values())
+        return {state: counts[state] for state in get_args(State)}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The sum of each of the counted columns."""
+        return {name: sum(getattr(row, name) for row in self.results.values()) for name in _COUNTED}
+
+    @property
+    def detections(self) -> Counter[str]:
+        """By class, those without any too."""
+        found = Counter[str]()
+        for row in self.results.values():
+            found.update(row.detections)
+        return found
+
+    def __str__(self) -> str:
+        counts = self.counts
+        states = ", ".join(f"{count} {state}" for state, count in self.states.items())
+        return (
+            f"recordings  {self.count}: {states}\n"
+            f"{report(counts, +self.detections, expected=counts['images'] + counts['missing'])}"
+            f"rate        {self.rate_hz:.1f} images per second in this run\n"
+        )
+
+
+def check_summary(folder: Path) -> None:
+    """Raise OutputError if `folder` has a file of another program where the summary will be."""
+    file = folder / SUMMARY_NAME
+    if os.path.lexists(file) and not (file.is_file() and file.read_bytes().startswith(_BEGIN)):
+        raise OutputError(f"{file} is not a summary of detect_bag: move it, or choose another --output.")
+
+
+def write_summary(plan: Plan, batch: Batch, order: Sequence[str]) -> None:
+    """Write the file, with rows in `order`, in place of that of an earlier run. Raises OSError."""
+    rows = [batch.results[name] for name in order]
+    content = {
+        "weights": plan.settings.weights,
+        "weights_sha256": plan.settings.weights_sha256,
+        "settings_sha256": plan.settings_sha256,
+        "recordings": len(rows),
+        "states": batch.states,
+        **batch.counts,
+        "detections": batch.detections,
+        "results": [row.model_dump() for row in rows],
+    }
+    text = json.dumps(content, indent=1, ensure_ascii=False).encode("utf-8", "backslashreplace") + b"\n"
+    atomic_write(plan.output / SUMMARY_NAME, text)

@@ -10,28 +10,24 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from threading import Lock
 
-from yolov5_lifecycle.atomic_file import (
-    OutputError,
-    has_unfinished_outputs,
-    hold,
-    open_itself,
-    remove_abandoned_folders,
-)
+from yolov5_lifecycle.atomic_file import OutputError, hold, open_itself, remove_abandoned_folders
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.results import Plan, RecordingResult, finished_before
-from yolov5_lifecycle.offline.many_recordings.summary import Batch, check_summary, write_summary
+from yolov5_lifecycle.offline.many_recordings.results import (
+    Batch,
+    Plan,
+    RecordingResult,
+    check_summary,
+    finished_before,
+    write_summary,
+)
 from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images
-from yolov5_lifecycle.printable import is_utf8
 
 MAX_DEATHS = 2
-"""Workers that may die at one recording, or one in a row while it loads the model."""
+"""Workers that may die at one recording."""
 _PROGRESS_S = 0.5
-_END_S = 10.0
-_PAUSE_S = 0.1
 
 
 def detect_recordings(
@@ -54,18 +50,13 @@ def detect_recordings(
         check_summary(plan.output)
         if waiting := [source for source in sources if source.name not in batch.results]:
             _Run(plan, new_workers(len(waiting)), batch, terminal).run(waiting)
-        if problem := write_summary(plan, batch, [source.name for source in sources]):
-            terminal.tell(problem)
+        write_summary(plan, batch, [source.name for source in sources])
     return batch
 
 
 @contextmanager
 def _output_folder(folder: Path) -> Iterator[None]:
     """Lock `folder` for this process; create it if it is missing, and then remove it if it stays empty."""
-    if not is_utf8(str(folder)):
-        raise OutputError(
-            f"{folder}: the name of the folder of results must be UTF-8: choose another --output."
-        )
     if not folder.parent.is_dir():
         raise OutputError(f"{folder.parent}: folder not found; create it first.")
     if folder.exists() and not folder.is_dir():
@@ -82,20 +73,12 @@ def _output_folder(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            _remove_unfinished(folder)
+            remove_abandoned_folders(folder)  # of killed workers
             if is_new:
                 with suppress(OSError):
                     folder.rmdir()
     finally:
         os.close(descriptor)
-
-
-def _remove_unfinished(folder: Path) -> None:
-    """Remove what killed workers leave behind, once they are dead: Ray does not say when."""
-    deadline_s = time.monotonic() + _END_S
-    while has_unfinished_outputs(folder) and time.monotonic() < deadline_s:
-        remove_abandoned_folders(folder)
-        time.sleep(_PAUSE_S)
 
 
 class _Run:
@@ -104,14 +87,11 @@ class _Run:
     def __init__(self, plan: Plan, workers: Sequence[Worker], batch: Batch, terminal: Terminal) -> None:
         self._plan = plan
         self._workers = workers
-        self._count = len(workers)
         self._batch = batch
         self._terminal = terminal
         self._waiting = SimpleQueue[SourceRecording | None]()
         self._ended = SimpleQueue[RecordingResult | Exception]()
         self._deaths = Counter[str]()
-        self._lock = Lock()
-        self._is_stopping = False
 
     def run(self, sources: Sequence[SourceRecording]) -> None:
         """Add the results of `sources` to the batch; the first worker chooses the runtime for all."""
@@ -119,15 +99,15 @@ class _Run:
             self._waiting.put(source)
         executor = ThreadPoolExecutor(len(self._workers))
         try:
-            first, *others = self._workers
-            self._plan = self._loaded(first)
+            self._plan = _loaded(self._workers[0], self._plan)
             self._batch.begun_s = time.monotonic()
-            executor.submit(self._serve, first, is_loaded=True)
-            for worker in others:
-                executor.submit(self._serve, worker, is_loaded=False)
+            for worker in self._workers:
+                executor.submit(self._serve, worker, is_loaded=worker is self._workers[0])
             self._collect()
         finally:
-            self._stop()
+            for worker in self._workers:
+                worker.stop()
+                self._waiting.put(None)
             executor.shutdown()
             for worker in self._workers:
                 worker.close()
@@ -153,19 +133,29 @@ class _Run:
     def _serve(self, worker: Worker, *, is_loaded: bool) -> None:
         """Let `worker` detect in one recording after the other, until there are none."""
         try:
-            while is_loaded or self._may_load(worker):
+            while True:
+                if not is_loaded:
+                    self._load_another(worker)
                 if (source := self._waiting.get()) is None:
                     return
                 is_loaded = self._detect(worker, source)
         except Exception as error:  # noqa: BLE001 - whatever it is, it ends the run
             self._ended.put(error)
 
+    def _load_another(self, worker: Worker) -> None:
+        try:
+            _loaded(worker, self._plan)
+        except DetectingError as error:
+            raise DetectingError(
+                f"another worker could not start: {error}. If memory is short, give a smaller --jobs."
+            ) from None
+
     def _detect(self, worker: Worker, source: SourceRecording) -> bool:
         """Whether `worker` still lives; if it died, another one begins `source` again, or it has failed."""
         try:
             self._ended.put(worker.detect(source, lambda images: self._batch.progress(source.name, images)))
         except ChildProcessError as error:
-            self._restart(worker)
+            worker.start()
             self._deaths[source.name] += 1
             if self._deaths[source.name] < MAX_DEATHS:
                 self._terminal.tell(f"{source.name}: {error}; another worker retries it")
@@ -180,41 +170,10 @@ class _Run:
             return False
         return True
 
-    def _may_load(self, worker: Worker) -> bool:
-        """Load the model; False if that fails, but not for other workers. Raises DetectingError."""
-        try:
-            self._loaded(worker)
-        except DetectingError as error:
-            with self._lock:
-                self._count -= 1
-                if not self._count:
-                    raise
-            worker.stop()
-            self._terminal.tell(
-                f"continuing with {self._count} worker(s): another one could not start: {error}"
-            )
-            return False
-        return True
 
-    def _loaded(self, worker: Worker, deaths: int = 1) -> Plan:
-        """The plan as `worker` has chosen it; raises DetectingError if it cannot load the model."""
-        try:
-            return worker.load(self._plan)
-        except ChildProcessError as error:
-            if deaths == MAX_DEATHS:
-                raise DetectingError(f"{error} while loading the model, {deaths} times in a row") from None
-            self._restart(worker)
-            return self._loaded(worker, deaths + 1)
-
-    def _restart(self, worker: Worker) -> None:
-        with self._lock:
-            if self._is_stopping:
-                raise ChildProcessError("the worker was stopped")
-            worker.restart()
-
-    def _stop(self) -> None:
-        with self._lock:
-            self._is_stopping = True
-            for worker in self._workers:
-                worker.stop()
-                self._waiting.put(None)
+def _loaded(worker: Worker, plan: Plan) -> Plan:
+    """The plan as `worker` has chosen it; raises DetectingError if it cannot load the model."""
+    try:
+        return worker.load(plan)
+    except ChildProcessError as error:
+        raise DetectingError(f"{error} while loading the model") from None
