@@ -92,21 +92,23 @@ def test_a_page_is_welcomed_and_told_of_each_detector_and_no_other_node(
 ) -> None:
     with console.client.page() as late:
         assert late.welcome == {"type": "welcome", "view_only": False, "nodes": [NODE]}
+    page.wait_for(lambda: page.nodes[NODE]["log"], "the log of before the console knew the detector")
     node = page.nodes[NODE]
     assert node["transitions"] == ["configure", "shutdown"]
     assert [one["name"] for one in node["parameters"]] == [setting.name for setting in SETTINGS]
     assert [camera["name"] for camera in node["cameras"]] == [""]
     assert node["diagnostics"][0]["name"] == "detection"
     assert node["diagnostics"][0]["values"]["state"] == "unconfigured"
-    assert "next step" in node["log"][0]["text"]  # it was logged before the console knew the detector
+    assert "next step" in node["log"][0]["text"]
 
 
 def test_metrics_have_the_figures_of_the_diagnostics(console: ConsoleBesideNode, page: Page) -> None:
     text = console.client.request("GET", "/metrics").body
     assert f'yolov5_state{{node="{NODE}",state="unconfigured"}} 1.0' in text
-    assert f'yolov5_status_level{{node="{NODE}",status="detection"}} ' in text
-    assert f'yolov5_diagnostics{{key="frames detected",node="{NODE}",status="detection"}} 0.0' in text
-    assert 'key="state"' not in text
+    assert f'yolov5_state{{node="{NODE}",state="active"}} 0.0' in text
+    assert f'yolov5_frames_total{{camera="",node="{NODE}",outcome="detected"}} 0.0' in text
+    assert "yolov5_resident_memory_megabytes{" in text
+    assert "yolov5_console_viewers 0.0" in text
 
 
 def test_transitions_are_followed_and_change_what_is_possible(console: ConsoleBesideNode, page: Page) -> None:
@@ -184,8 +186,9 @@ def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page)
     assert page.ask(type="transition", node=name, label="configure") == f"there is no detector {name}"
     with ServedNode(Preparations(), arguments=[*words, "-p", "max_rate:=3.0"]):
         page.wait_for(lambda: name in page.nodes, "the new detector")
-        lines = [line for line in page.nodes[name]["log"] if "next step" in line["text"]]
-        assert len(lines) == 3  # of all processes
+        page.wait_for(
+            lambda: str(page.nodes[name]["log"]).count("next step") == 3, "the log of all processes"
+        )
         assert page.parameter("max_rate", name)["value"] == 3.0
         assert page.ask(type="transition", node=name, label="configure") == ""
     page.wait_for(lambda: name not in page.nodes, "its end, too: the next test begins without it")
