@@ -49,7 +49,7 @@ class _DetectorCollector(Collector):
         nodes = [((one.name,), one.status) for one in found if one.status]
         for key, (name, text) in _OF_NODE.items():
             yield _gauge(name, text, ("node",), [(place, status.number(key)) for place, status in nodes])
-        cameras = [((one.name, camera), each) for one in found for camera, each in one.cameras.items() if each]
+        cameras = [((one.name, name), each) for one in found for name, each in one.cameras.items() if each]
         for key, (name, text) in _OF_CAMERA.items():
             yield _gauge(name, text, _CAMERA, [(place, status.number(key)) for place, status in cameras])
         levels = [(place, status.level) for place, status in cameras]
