@@ -264,6 +264,10 @@ def test_a_login_without_the_token_is_answered(guarded: ConsoleClient, words: st
     assert (reply.status, reply.headers.get("set-cookie")) == (401, None)
 
 
+def test_the_login_page_tells_a_browser_without_scripts_what_it_needs(guarded: ConsoleClient) -> None:
+    assert "<noscript>" in guarded.request("GET", "/login").body
+
+
 def test_metrics_need_the_token_on_a_network(guarded: ConsoleClient) -> None:
     for words in ("", "Bearer ", f"Basic {TOKEN}", "Bearer wrong"):
         reply = guarded.request("GET", "/metrics", headers={"Authorization": words})
