@@ -105,9 +105,10 @@ def test_a_page_is_welcomed_and_told_of_each_detector_and_no_other_node(
 def test_metrics_have_the_figures_of_the_diagnostics(console: ConsoleBesideNode, page: Page) -> None:
     text = console.client.request("GET", "/metrics").body
     assert f'yolov5_state{{node="{NODE}",state="unconfigured"}} 1.0' in text
-    assert f'yolov5_status_level{{node="{NODE}",status="detection"}} ' in text
-    assert f'yolov5_diagnostics{{key="frames detected",node="{NODE}",status="detection"}} 0.0' in text
-    assert 'key="state"' not in text
+    assert f'yolov5_state{{node="{NODE}",state="active"}} 0.0' in text
+    assert f'yolov5_frames_total{{camera="",node="{NODE}",outcome="detected"}} 0.0' in text
+    assert "yolov5_resident_memory_megabytes{" in text
+    assert "yolov5_console_viewers 0.0" in text
 
 
 def test_transitions_are_followed_and_change_what_is_possible(console: ConsoleBesideNode, page: Page) -> None:

@@ -6,7 +6,7 @@ import json
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import Log, ParameterType, ParameterValue
+from rcl_interfaces.msg import Log, ParameterValue
 from rclpy.parameter import Parameter
 from vision_msgs.msg import LabelInfo, VisionClass
 
@@ -164,9 +164,15 @@ def test_a_value_is_shown_printable() -> None:
     ]
 
 
-@pytest.mark.parametrize("value", [["x" * 4_000] * 200, [""] * 600_000], ids=["texts", "entries"])
-def test_values_beyond_what_all_may_have_are_not_shown(value: list[str]) -> None:
-    large = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=value)
-    small = value_of("max_rate", 1.0)
-    found = parameters_as_json({"classes": large, "regions": large, "max_rate": small})
-    assert [name for name, each in found.items() if each["is_shown"]] == ["classes", "max_rate"]
+@pytest.mark.parametrize(
+    ("first", "second", "value"),
+    [
+        pytest.param("classes", "regions", ["x" * 4_000] * 200, id="texts"),
+        pytest.param("classes", "regions", [""] * 600_000, id="entries"),
+        pytest.param("weights", "device", "x" * 600_000, id="text"),
+    ],
+)
+def test_values_beyond_what_all_may_have_are_not_shown(first: str, second: str, value: object) -> None:
+    large = value_of(first, value)
+    found = parameters_as_json({first: large, second: large, "max_rate": value_of("max_rate", 1.0)})
+    assert [name for name, each in found.items() if each["is_shown"]] == [first, "max_rate"]

@@ -12,6 +12,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -24,6 +26,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from yolov5_lifecycle.ros.console import web_server
 from yolov5_lifecycle.ros.console.application import WebApplication
 from yolov5_lifecycle.ros.console.gate import Gate
+from yolov5_lifecycle.ros.console.images import Viewers
 from yolov5_lifecycle.ros.console.options import parsed
 from yolov5_lifecycle.ros.console.pages import MAX_PAGES, Find, Pages
 from yolov5_lifecycle.ros.console.sessions import SESSION_S, Sessions
@@ -261,6 +264,10 @@ def test_a_login_without_the_token_is_answered(guarded: ConsoleClient, words: st
     assert (reply.status, reply.headers.get("set-cookie")) == (401, None)
 
 
+def test_the_login_page_tells_a_browser_without_scripts_what_it_needs(guarded: ConsoleClient) -> None:
+    assert "<noscript>" in guarded.request("GET", "/login").body
+
+
 def test_metrics_need_the_token_on_a_network(guarded: ConsoleClient) -> None:
     for words in ("", "Bearer ", f"Basic {TOKEN}", "Bearer wrong"):
         reply = guarded.request("GET", "/metrics", headers={"Authorization": words})
@@ -324,6 +331,31 @@ def test_too_many_pages_are_refused(local: ConsoleClient) -> None:
             late.recv(PATIENCE_S)
     assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 1013
+
+
+@pytest.mark.parametrize("serve", ["page", "image"])
+def test_a_client_that_is_refused_once_it_has_gone_is_no_error(serve: str) -> None:
+    text = {"type": "websocket.receive", "text": "more"}
+    requests: Iterator[Message] = iter([{"type": "websocket.connect"}, *[text] * 100])
+
+    async def receive() -> Message:
+        await asyncio.sleep(0)
+        return next(requests)
+
+    async def send(message: Message) -> None:
+        if message["type"] != "websocket.accept":
+            raise OSError("gone")
+
+    ros: Any = SimpleNamespace(run=lambda *_: None, node=None)
+    detector: Any = SimpleNamespace(cameras={"": None})
+
+    def find(_: object) -> Any:
+        return detector
+
+    pages, viewers = Pages(lambda _: None, list, view_only=False), Viewers(ros, find)
+    websocket = WebSocket({"type": "websocket", "query_string": b""}, receive, send)
+    asyncio.run((pages if serve == "page" else viewers).serve(websocket))
+    assert viewers.count == 0
 
 
 def test_a_page_that_reads_no_answers_is_not_read_from_either() -> None:

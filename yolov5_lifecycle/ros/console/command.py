@@ -74,7 +74,7 @@ async def _serve(
     pages = Pages(lambda name: detectors.find(name), lambda: detectors.known, view_only=options.view_only)
     detectors = Detectors(ros, options.nodes, on_change=pages.changed, on_gone=pages.gone)
     viewers = Viewers(ros, detectors.find)
-    metrics = figures(lambda: detectors.known)
+    metrics = figures(lambda: detectors.known, lambda: viewers.count)
     application = WebApplication(pages.serve, viewers.serve, sessions, metrics, node.get_logger())
     server = WebServer(Gate(application, options, sessions, port=sock.getsockname()[1]), options)
     _end_on_signals(server)

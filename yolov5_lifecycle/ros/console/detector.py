@@ -139,15 +139,19 @@ class Detector:
         """The last diagnostics of the node as a whole."""
         return self.statuses.get(NODE_STATUS)
 
+    @property
+    def cameras(self) -> dict[str, StatusView | None]:
+        """The last diagnostics of each camera by name; the only camera of a detector without names is ""."""
+        return {name: self.statuses.get(name or NODE_STATUS) for name in self.camera_names or [""]}
+
     def as_json(self) -> dict[str, object]:
         """Everything that the page shows of the detector."""
-        cameras = {name: self.statuses.get(name or NODE_STATUS) for name in self.camera_names or [""]}
         return {
             "name": self.name,
             "state": self.state,
             "transitions": self._transitions,
             "parameters": list(self._parameters.values()),
-            "cameras": [camera_as_json(*camera) for camera in cameras.items()],
+            "cameras": [camera_as_json(*camera) for camera in self.cameras.items()],
             "diagnostics": [asdict(status) for status in self.statuses.values()],
             "class_names": self._class_names,
             "log": self.log.as_json(),

@@ -34,16 +34,21 @@ class Viewers:
         self._find = find
         self._feeds: dict[str, _Feed] = {}
 
+    @property
+    def count(self) -> int:
+        """How many images are shown now."""
+        return sum(feed.viewers for feed in self._feeds.values())
+
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one viewer until it is closed."""
         node = websocket.query_params.get("node", "")
         camera = websocket.query_params.get("camera", "")
         await websocket.accept()
         detector = self._find(node)
-        if detector is None or camera not in (detector.camera_names or [""]):
+        if detector is None or camera not in detector.cameras:
             await websocket.close(_UNKNOWN, "camera not found")
             return
-        if sum(feed.viewers for feed in self._feeds.values()) >= MAX_VIEWERS:
+        if self.count >= MAX_VIEWERS:
             await websocket.close(
                 CloseCode.TRY_AGAIN_LATER, f"close a page: the console shows {MAX_VIEWERS} images, the limit"
             )
@@ -113,7 +118,8 @@ async def _show(websocket: WebSocket, feed: _Feed) -> None:
     try:
         while (message := await websocket.receive())["type"] != "websocket.disconnect":
             if message.get("text") != _TAKEN or has_taken.is_set():
-                await websocket.close(CloseCode.POLICY_VIOLATION, f"expected '{_TAKEN}' after each image")
+                with suppress(WebSocketDisconnect, RuntimeError):  # it is gone
+                    await websocket.close(CloseCode.POLICY_VIOLATION, f"expected '{_TAKEN}' after each image")
                 return
             has_taken.set()
     finally:

@@ -104,8 +104,6 @@ class _Page:
         sender = asyncio.create_task(self._send_nodes(list(nodes)))
         try:
             await self._receive()
-        except WebSocketDisconnect:
-            pass
         finally:
             sender.cancel()
             # Requests in progress continue: the detector carries them out, with or without the page.
@@ -125,7 +123,8 @@ class _Page:
     async def _receive(self) -> None:
         while (message := await self._websocket.receive())["type"] != "websocket.disconnect":
             if not self._budget.spend():
-                await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
+                with suppress(WebSocketDisconnect, RuntimeError):  # it is gone
+                    await self._websocket.close(CloseCode.POLICY_VIOLATION, "too many messages")
                 return
             await self._handle(message.get("text"))
 

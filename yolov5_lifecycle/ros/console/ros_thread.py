@@ -91,7 +91,8 @@ class RosThread:
             if answered.done():
                 return answered.result()
             if end.done():
-                raise ConnectionError(f"{client.srv_name} was lost before it answered")
+                later = "it may have done what was asked: look again once the detector is back"
+                raise ConnectionError(f"{client.srv_name} was lost before it answered; {later}")
             raise ConnectionError(f"{client.srv_name} did not answer within {timeout_s:g} s")
         finally:
             self.run(client.remove_pending_request, pending)

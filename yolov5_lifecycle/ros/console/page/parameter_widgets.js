@@ -1,4 +1,4 @@
-/** The widget that shows and edits one value, chosen by the descriptor of the parameter. */
+/** The widget that shows and edits one value, chosen by the type and limits of the parameter. */
 
 import { Chips } from "./chips.js";
 import { element, plainField, setText } from "./element.js";
@@ -209,7 +209,7 @@ class Slider {
   }
 }
 
-/** The descriptor's own, or about a hundredth of the range, at most 1. */
+/** The parameter's own, or about a hundredth of the range, at most 1. */
 function stepOf(type, { from, to, step }) {
   if (step > 0) {
     return step;
