@@ -108,6 +108,7 @@ def test_foreign_text_is_printable_in_answers_log_and_diagnostics(ros_domain: in
         prepare.refusal = ""
         assert served.set(classes=["cat"]) == (True, "")
         assert served.transition("activate")
+        assert MARK not in served.status().message
         header = Header(frame_id=HOSTILE)
         for encoding in (HOSTILE, LONG):
             bad = Image(header=header, encoding=encoding, height=1, width=1, data=array("B", [0]))

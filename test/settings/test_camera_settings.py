@@ -37,6 +37,7 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
     ("names", "problem"),
     [
         pytest.param(("",), "begin with a letter: rename ''", id="empty"),
+        pytest.param(("my__camera",), "single underscores that begin with a letter: rename 'my__", id="two"),
         pytest.param(("front.left",), "rename 'front.left'", id="dot"),
         pytest.param(("front\n",), r"rename 'front\n'", id="line-end"),
         pytest.param(

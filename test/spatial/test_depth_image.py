@@ -132,6 +132,8 @@ def test_p_counts_where_it_is_filled_in_and_else_k() -> None:
         pytest.param([0.0] * 9, [0.0] * 12, id="not calibrated"),
         pytest.param(K, [math.nan, *P[1:]], id="NaN"),
         pytest.param([*K[:4], 1e300, *K[5:]], [0.0] * 12, id="huge focal length"),
+        pytest.param([1e-300, *K[1:]], [0.0] * 12, id="tiny focal length"),
+        pytest.param([-1.0, *K[1:]], [0.0] * 12, id="negative focal length"),
         pytest.param([*K[:2], -1e300, *K[3:]], [0.0] * 12, id="principal point far away"),
     ],
 )

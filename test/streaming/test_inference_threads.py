@@ -64,7 +64,7 @@ def test_the_camera_that_was_served_longest_ago_is_next_whoever_offers_first_or_
     for held, arrivals in ((1, (1, 2, 3, 4)), (3, (3, 1, 4, 2))):
         cameras[held].hold(held)
         for number in arrivals:
-            cameras[number].offer(number)
+            cameras[number].offer(*[number] * (5 - number))
         cameras[held].open()
         for number in (held, *arrivals):
             cameras[number].wait()

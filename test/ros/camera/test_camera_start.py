@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 from pathlib import Path
 
 import pytest
 from support.camera_info_file import camera_info_url
 from support.camera_process import END_S, camera_process
+from support.colcon_workspace import REPOSITORY
 from support.detector_process import as_arguments
 from support.grey_images import grey_folder
 
@@ -16,6 +19,14 @@ from yolov5_lifecycle.ros.camera.settings import SCHEMA, CameraSettings
 from yolov5_lifecycle.settings.schema import SettingsError
 
 RAW_QOS = "qos_overrides./image_raw.publisher"
+
+
+def test_the_page_of_the_camera_lists_its_parameters() -> None:
+    section = (REPOSITORY / "docs" / "camera.md").read_text().partition("\n## Parameters\n")[2]
+    rows = re.findall(r"^\| `(\w+)` \| `(.*?)` \| (.*) \|$", section.partition("\n## ")[0], re.MULTILINE)
+    assert [(name, json.loads(default), text) for name, default, text in rows] == [
+        (name, field.default, field.description) for name, field in CameraSettings.model_fields.items()
+    ]
 
 
 def test_a_hanging_source_does_not_delay_the_end(ros_domain: int, tmp_path: Path) -> None:

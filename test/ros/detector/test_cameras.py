@@ -1,4 +1,4 @@
-"""Several cameras on one model: each with its own topics, settings, balance, depth and troubles."""
+"""Several cameras on one model: each with its own topics, settings, balance, depth, masks and troubles."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import TransitionCallbackReturn
 from support.camera_client import CameraClient, DepthClient
 from support.preparations import Preparations, prediction
+from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
@@ -248,3 +249,16 @@ def test_each_camera_may_have_a_transport_and_a_reliability_of_its_own(prepare: 
         assert found_by(front, rear) == [["cat"], ["cat"]]
         served.wait_for(lambda: reliability(front) == "reliable", "that of the publisher")
         assert rear.values()["image reliability"] == "best_effort"
+
+
+def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone(prepare: Preparations) -> None:
+    model = SegmentingModel(prepare)
+    with active(prepare, *PARAMETERS) as served:
+        front, rear = (CameraClient(served, name, size_hw=SIZE_HW) for name in CAMERAS)
+        rear.detect()
+        masks = MasksSubscriber(front)
+        masks.begin()
+        masks.segment()  # the last of the images above
+        before = model.computed
+        assert class_ids_of(rear.see()) == ["cat", "dog"]
+        assert model.computed == before

@@ -242,6 +242,20 @@ def test_the_message_is_the_most_pressing_thing(status: Status, told: str) -> No
     assert told in status.of_node.message
 
 
+@pytest.mark.parametrize(
+    "status",
+    [
+        pytest.param(GOOD, id="all-is-well"),
+        pytest.param(with_camera(input=None), id="lazy"),
+        pytest.param(with_topic(missing_s=DISCOVERY_S), id="discovery"),
+        pytest.param(BLIND, id="nothing-to-see"),
+        pytest.param(replace(with_topic(), state="inactive"), id="inactive"),
+    ],
+)
+def test_what_is_no_trouble_is_no_warning(status: Status) -> None:
+    assert status.of_node.hint == ""
+
+
 REJECTION = "depth images are rejected: Expected a depth image in 16UC1 or 32FC1, found encoding 'rgb8'."
 REASON = "no depth image: no depth image has been received"
 LONG_RUN = RunWithoutDepth(REASON, begun_s=5.0, ended_s=5.5 + UNPLACED_S)
@@ -322,7 +336,6 @@ def test_the_values_hold_every_count_and_the_configuration(monkeypatch: pytest.M
     }
     assert expected.items() <= values.items()
     assert BLIND.of_node.values["best score in them"] == "0.61"
-    assert BLIND.of_node.hint == "", "nothing to see is no trouble"
     assert "depth topic" not in with_camera(depth=depth_input()).of_node.values
     computed: list[Settings] = []
 

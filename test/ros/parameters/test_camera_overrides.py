@@ -106,6 +106,10 @@ def test_an_override_is_set_changed_and_deleted_while_the_node_detects(served: S
     done, reason = served.set(**{"side.max_rate": None})
     assert not done
     assert reason.startswith("side.max_rate: there is no such parameter")
+    done, reason = served.set(**{"front.classes": ["cta"]})
+    assert not done
+    assert "front.classes: 'cta' is not a class of the model" in reason
+    assert settings_of(served).for_camera("front") == Settings()
 
 
 def test_a_camera_and_its_overrides_are_added_and_removed_in_one_request(served: ServedNode) -> None:

@@ -117,6 +117,8 @@ def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
     assert all("superseded by a later request" in result.reason for result in results[1:-1])
     assert len(prepare.sizes_hw) == prepared + 2
     assert (served.get("image_size"), served.get("weights")) == (320, "/other.pt")
+    used = served.node._settings.settings()
+    assert (used.image_size, used.weights) == (320, "/other.pt")
     assert [runtime.is_closed for runtime in prepare.runtimes] == [True, True, False]
 
 
