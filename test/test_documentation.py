@@ -17,7 +17,9 @@ from support.pages import (
     MIGRATION,
     PAGES,
     README,
+    TOPICS,
     blocks,
+    spans,
     table,
     typed,
 )
@@ -25,6 +27,7 @@ from support.preparations import Preparations
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.detection.selection import class_ids
+from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -75,6 +78,20 @@ def test_a_page_that_the_code_names_exists() -> None:
     assert missing == []
 
 
+def unknown_names(page: Path) -> Iterator[str]:
+    """What the page says in passing of targets, parameters and topics that are none."""
+    text = "\n".join(spans(page))
+    targets = re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
+    named = set(re.findall(r"^make ([a-z-]+)", text, re.MULTILINE))
+    yield from sorted(f"make {name}" for name in named - set(targets))
+    asked = set(re.findall(r"ros2 param \w+ /\S+ ([a-z][\w.]*)", text))
+    yield from sorted(f"parameter {name}" for name in asked if SCHEMA.find(name) is None)
+    given = set(re.findall(r"-p (\w+):=", text)) - CameraSettings.model_fields.keys()
+    yield from sorted(f"parameter {name}" for name in given if name not in SETTINGS_BY_NAME)
+    remapped = {name.replace("/yolov5/", "~/") for name in re.findall(r"-r '?([~\w/]+):=", text)}
+    yield from sorted(remapped - TOPICS - {"image_raw", "__node", "__ns"})
+
+
 def broken_examples(page: Path) -> Iterator[str]:
     """Commands that bash cannot parse, programs that are no Python, and settings that are refused."""
     run = subprocess.run(["bash", "-n"], input="\n".join(typed(page)), capture_output=True, text=True)
@@ -85,7 +102,7 @@ def broken_examples(page: Path) -> Iterator[str]:
         validated(settings_of(block))
 
 
-@pytest.mark.parametrize("problems", [dead_links, broken_examples])
+@pytest.mark.parametrize("problems", [dead_links, unknown_names, broken_examples])
 def test_what_a_page_names_exists_and_its_examples_are_understood(
     problems: Callable[[Path], Iterator[str]],
 ) -> None:
@@ -118,6 +135,13 @@ def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
     with pytest.raises(ValueError, match="circel") as refused:
         class_ids(["circel"], CLASS_NAMES)
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
+
+
+def test_a_name_that_replaces_that_of_another_node_exists() -> None:
+    nodes = re.findall(r"^## (.*)$", MIGRATION.read_text(), re.MULTILINE)
+    cells = [row[1] for node in nodes for row in table(MIGRATION, node)]
+    named = {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
+    assert named <= {setting.name for setting in SETTINGS} | TOPICS | {"yolov5"}
 
 
 def test_a_parameter_of_yolo_ros_is_refused_with_the_name_that_the_page_gives() -> None:
