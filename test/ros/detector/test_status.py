@@ -246,7 +246,7 @@ def test_the_message_is_the_most_pressing_thing(status: Status, told: str) -> No
     "status",
     [
         pytest.param(GOOD, id="all-is-well"),
-        pytest.param(with_camera(input=None), id="lazy"),
+        pytest.param(with_camera(input=LAZY), id="lazy"),
         pytest.param(with_topic(missing_s=DISCOVERY_S), id="discovery"),
         pytest.param(BLIND, id="nothing-to-see"),
         pytest.param(replace(with_topic(), state="inactive"), id="inactive"),

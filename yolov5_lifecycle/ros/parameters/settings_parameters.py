@@ -261,7 +261,8 @@ class SettingsParameters:
 
     def _is_fixed(self, name: str, value: object) -> bool:
         setting = SETTINGS_BY_NAME.get(name)
-        return setting is not None and setting.change is Change.READ_ONLY and value != self.value(name)
+        is_read_only = setting is not None and setting.change is Change.READ_ONLY
+        return is_read_only and value != self._current.values[name]  # not its default, if that is refused
 
     def _stays(self, parameter: Parameter) -> bool:
         """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
