@@ -1,4 +1,4 @@
-"""Every kind of layer is read as each version saves it, trained on several GPUs, or wrapped to run."""
+"""Every kind of layer is read as each version saves it, fused, trained on several GPUs, or wrapped to run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ import torch
 from support.checkpoint_builder import (
     SMALL,
     foreign,
+    layers_of,
     official_model,
+    pickled_method,
     saved,
     stripped,
 )
@@ -23,6 +25,7 @@ from support.wrong_models import data_parallel
 from torch import distributed, nn
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
+from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.model import Model, WeightsError
@@ -67,6 +70,34 @@ def test_folding_leaves_the_predictions_as_they_are(architecture: Architecture) 
     assert not [module for module in folded.modules() if isinstance(module, nn.BatchNorm2d)]
     assert not any(parameter.requires_grad for parameter in folded.parameters())
     torch.testing.assert_close(predictions(folded), expected, rtol=1e-3, atol=1e-4)
+
+
+def fused(architecture: Architecture, method: str) -> Any:
+    """As YOLOv5's model.fuse() leaves it: convolutions with a bias, whose forward is another method."""
+    is_fused = dataclasses.replace(architecture, is_fused=True)
+    model = official_model(is_fused, half=False)
+    waiting = list(layers_of(model).values())
+    while waiting:
+        module = waiting.pop()
+        waiting.extend(vars(module)["_modules"].values())
+        if type(module).__name__ in ("Conv", "DWConv"):
+            vars(module)["forward"] = pickled_method(module, method)
+    return model
+
+
+@pytest.mark.long
+@every_small
+def test_a_fused_model_is_read_and_converted(architecture: Architecture, tmp_path: Path) -> None:
+    method = "forward_fuse" if architecture.activation == "SiLU" else "fuseforward"  # its name before v6
+    model = read_checkpoint(saved(stripped(fused(architecture, method))))
+    is_fused = dataclasses.replace(architecture, is_fused=True)
+    assert_same_model(model, is_fused, random_network(0, is_fused))
+    write_safetensors(model, tmp_path / "fused.safetensors")
+    again = read_safetensors((tmp_path / "fused.safetensors").read_bytes())
+    assert_same_model(again, is_fused, random_network(0, is_fused))
+    torch.testing.assert_close(
+        predictions(fuse(model.network())), predictions(model.network()), rtol=1e-3, atol=1e-4
+    )
 
 
 @pytest.mark.long

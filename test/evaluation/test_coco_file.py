@@ -197,7 +197,6 @@ def test_numbers_that_python_takes_for_equal_are_no_ids(tmp_path: Path) -> None:
     assert len(read(write(tmp_path, coco(images, [annotation(1)])))[0].images) == 1
 
 
-@pytest.mark.long
 def test_annotations_of_unknown_images_whose_ids_have_one_hash_are_passed_over(tmp_path: Path) -> None:
     records = [annotation(number * sys.hash_info.modulus) for number in range(2, 200_000)]
     path = write(tmp_path, coco([image(1)], [annotation(1), *records]))

@@ -36,6 +36,7 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param({"class_thresholds": ("person",)}, "'person' is not a class name", id="no-threshold"),
         pytest.param({"class_thresholds": (": 0.5",)}, "': 0.5' is not a class name", id="nameless-class"),
         pytest.param({"class_thresholds": ("a: 1.5",)}, "a number from 0 to 1, as in", id="high-threshold"),
+        pytest.param({"class_thresholds": ("a: 0_1",)}, "'a: 0_1' is not a class name", id="no-number"),
         pytest.param(
             {"class_thresholds": ("a: 0.5", " a :0.4")}, "'a' has more than one threshold", id="twice"
         ),

@@ -248,6 +248,8 @@ def _official(module: nn.Module, names: Mapping[str, str], name: str = "") -> An
         state = {key: value for key, value in vars(module).items() if key not in _OWN_ATTRIBUTES}
         if name.endswith(".Concat"):
             state["d"] = 1
+        if isinstance(children.get("bn"), nn.Identity):  # as fuse() leaves it
+            del children["bn"]
         return foreign(name, **state | {"_modules": children})
     kind: type[nn.Module] = nn.ConvTranspose2d if own else type(module)
     if kind is nn.ModuleList and any("models.yolo" in type(child).__module__ for child in children.values()):

@@ -213,6 +213,8 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "no channel multiple": (architecture(channel_multiple=0), "the channel_multiple"),
     "activation": (architecture(activation="eval"), "expected an activation"),
     "activation with a steep slope": (architecture(activation="LeakyReLU(9)"), "expected an activation"),
+    "fused as a number": (architecture(is_fused=1), "true or false as is_fused"),
+    "fused": (architecture(is_fused=True), "model.0.conv.bias is missing"),
     "activation of what has none": (
         architecture(other_activations=[["model.0.bn", "ReLU"]]),
         "there is no activation at model.0.bn",

@@ -46,7 +46,7 @@ def _of_model(model: Model) -> Iterator[tuple[str, str]]:
         "activations",
         _counted(type(module.act).__name__ for module in network.modules() if hasattr(module, "act")),
     )
-    yield "parameters", f"{parameters:,}"
+    yield "parameters", f"{parameters:,}{', fused' if architecture.is_fused else ''}"
     yield "cost", str(usual_cost(architecture))
     yield (
         "images",

@@ -12,7 +12,7 @@ from typing import Any
 import onnx
 
 from yolov5_lifecycle.checkpoints.onnx_trace import MAX_DIMENSIONS, Shape, Trace, images_of
-from yolov5_lifecycle.models.cost import Cost
+from yolov5_lifecycle.models.cost import MAX_STRIDE, Cost
 from yolov5_lifecycle.models.model import MAX_CLASSES, Export, WeightsError, check_class_names, shown
 
 MAX_NODES = 5_000
@@ -20,7 +20,7 @@ MAX_NODES = 5_000
 _MAX_BATCH = 64
 _ANY_STRIDE = 64
 """What the largest models need; exports before v6.2 do not tell theirs."""
-_MAX_STRIDE, _SMALL_SIDE, _MAX_SIDE = 1024, 128, 4096
+_SMALL_SIDE, _MAX_SIDE = 128, 4096
 _FLOAT, _HALF = 1, 10
 _BYTES = {_FLOAT: 4, 2: 1, 3: 1, 6: 4, 7: 8, 9: 1, _HALF: 2, 11: 8}
 """Of an element, by TensorProto.DataType."""
@@ -184,11 +184,11 @@ def _stride(metadata: Mapping[str, str], size_hw: tuple[int, int] | None) -> int
     stride = int(told[1]) if told else 0
     if "stride" not in metadata and size_hw:
         stride = math.gcd(*size_hw, _ANY_STRIDE)
-    if not 0 < stride <= _MAX_STRIDE or any(
+    if not 0 < stride <= MAX_STRIDE or any(
         side % stride or not 0 < side <= _MAX_SIDE for side in size_hw or ()
     ):
         raise WeightsError(
-            f"expected a stride up to {_MAX_STRIDE} in the metadata, and height and width of images that are "
+            f"expected a stride up to {MAX_STRIDE} in the metadata, and height and width of images that are "
             f"multiples of it, up to {_MAX_SIDE}, found {shown(metadata.get('stride'))} and {size_hw}: "
             "export the model again"
         )

@@ -25,7 +25,7 @@ from yolov5_lifecycle.checkpoints.yaml_architecture import (
 )
 from yolov5_lifecycle.models.architecture import AnchorsPx, Architecture
 from yolov5_lifecycle.models.blocks import Bottleneck, Contract, CrossConv, Expand
-from yolov5_lifecycle.models.convolutions import ACTIVATIONS, DWConv, MixConv2d, leaky_relu
+from yolov5_lifecycle.models.convolutions import ACTIVATIONS, Conv, DWConv, MixConv2d, leaky_relu
 from yolov5_lifecycle.models.cost import MAX_STRIDE
 from yolov5_lifecycle.models.head import HEADS, Segment
 from yolov5_lifecycle.models.model import MAX_CLASSES, WeightsError, blueprint, checked_integer, shown
@@ -198,6 +198,9 @@ def anchors_of(anchors: StoredTensor | None, strides: tuple[int, ...], read: Rea
 def check_settings(modules: Mapping[str, Stub], network: Network) -> None:
     """Raise WeightsError unless pickled modules match those of `network` in kind, settings and wiring."""
     expected = {path: module for path, module in network.named_modules() if path not in _CONTAINERS}
+    if network.architecture.is_fused:
+        for path in [path for path, module in expected.items() if isinstance(module, Conv)]:
+            del expected[f"{path}.bn"]
     for path, module in expected.items():
         _check_module(path, modules.get(path), module)
     for index, layer in enumerate(network.architecture.layers):
@@ -213,7 +216,7 @@ def _check_module(path: str, pickled: Stub | None, module: nn.Module) -> None:
     if pickled is None and isinstance(module, nn.BatchNorm2d):
         raise WeightsError(
             f"the module {path} is missing: the model was saved after fuse(), which merges normalisation "
-            "into convolutions; use the checkpoint of the training"
+            "into convolutions, but not into all of them; use the checkpoint of the training"
         )
     if pickled is None or pickled.kind not in names:
         found = "is missing" if pickled is None else f"is a {shown(pickled.kind)}"
@@ -269,7 +272,7 @@ def _same(found: object, expected: object) -> bool:
 
 
 def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Architecture:
-    """`architecture` with the activations of `modules`.
+    """`architecture` with the activations of `modules`, and fused if they are.
 
     The modules are known by their paths in the network. Raises WeightsError for an unsupported activation.
     """
@@ -281,6 +284,7 @@ def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Archi
     }
     chosen = Counter(name for path, name in names.items() if isinstance(made[path], nn.SiLU))
     usual = chosen.most_common(1)[0][0] if chosen else architecture.activation
+    convolutions = [path for path, module in made.items() if isinstance(module, Conv)]
     return dataclasses.replace(
         architecture,
         activation=usual,
@@ -289,6 +293,7 @@ def as_pickled(architecture: Architecture, modules: Mapping[str, Stub]) -> Archi
             for path, name in names.items()
             if name != (usual if isinstance(made[path], nn.SiLU) else "Identity")
         ),
+        is_fused=bool(convolutions) and not any(f"{path}.bn" in modules for path in convolutions),
     )
 
 

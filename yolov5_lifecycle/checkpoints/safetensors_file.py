@@ -163,19 +163,23 @@ def _architecture(described: Any) -> Architecture:
     if not 1 <= len(anchors_px) == len(strides) <= MAX_LEVELS or len(counts) != 1:
         raise WeightsError("expected a stride and equally many anchors for each of 1 to 8 levels")
     checked_integer(counts.pop(), "the anchors of a level", 1, MAX_ANCHORS)
-    yaml = described | {"backbone": rows, "head": [], "ch": described.get("image_channels", 3)}
+    channels = described.get("image_channels", Architecture.image_channels)
+    yaml = described | {"backbone": rows, "head": [], "ch": channels}
     architecture = architecture_of(yaml, classes=classes, anchors_px=anchors_px, strides=strides)
     return replace(architecture, **_activations(described))
 
 
 def _activations(described: dict[str, Any]) -> dict[str, Any]:
     """The fields of an Architecture that a yaml lacks."""
-    others = described.get("other_activations", [])
+    others, is_fused = described.get("other_activations", []), described.get("is_fused", False)
     if not isinstance(others, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in others):
         raise WeightsError(f"expected pairs of paths and activations, found {shown(others)}")
+    if not isinstance(is_fused, bool):
+        raise WeightsError(f"expected true or false as is_fused, found {shown(is_fused)}")
     return {
         "activation": _activation(described.get("activation", Architecture.activation)),
         "other_activations": tuple((str(path), _activation(name)) for path, name in others),
+        "is_fused": is_fused,
     }
 
 

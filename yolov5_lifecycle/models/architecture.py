@@ -103,7 +103,8 @@ class Architecture:
     the network pixels per grid cell of each level. The last layer is the head, Detect or Segment, and has
     one source per level. `image_channels` is 3 for RGB, 1 for grey. `activation`, a name in
     `models/convolutions.py`, is that of every convolution that has one; `other_activations` are pairs of a
-    module's path in the network and its different activation.
+    module's path in the network and its different activation. If it `is_fused`, convolutions have a
+    bias and no normalisation.
     """
 
     depth_multiple: float
@@ -116,6 +117,7 @@ class Architecture:
     channel_multiple: int = 8
     activation: str = "SiLU"
     other_activations: tuple[tuple[str, str], ...] = ()
+    is_fused: bool = False
 
     @property
     def head_outputs(self) -> int:

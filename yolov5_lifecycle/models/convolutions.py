@@ -95,6 +95,12 @@ class Conv(Block):
         """Move the batch normalisation into the convolution."""
         fold_normalisation(self, self.conv)
 
+    def drop_bn(self) -> None:
+        """Replace the normalisation by a bias of the convolution, both without values."""
+        if isinstance(self.bn, nn.BatchNorm2d):
+            self.conv.bias = nn.Parameter(torch.zeros(self.conv.out_channels))
+            self.bn = nn.Identity()
+
 
 @layer_kind
 class DWConv(Conv):

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from yolov5_lifecycle.models.architecture import Architecture, Layer
 from yolov5_lifecycle.models.blocks import RESIZING, channels_after
-from yolov5_lifecycle.models.convolutions import LAYER_KINDS, Block, activation_of
+from yolov5_lifecycle.models.convolutions import LAYER_KINDS, Block, Conv, activation_of
 from yolov5_lifecycle.models.head import HEADS, Detect
 
 
@@ -26,6 +26,10 @@ class Network(nn.Module):
         self._sources = _absolute_sources(architecture)
         self._last_read = _last_read(self._sources)
         _set_activations(self, architecture)
+        if architecture.is_fused:
+            for module in self.modules():
+                if isinstance(module, Conv):
+                    module.drop_bn()
 
     @property
     def head(self) -> Detect:

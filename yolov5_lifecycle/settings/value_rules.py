@@ -74,7 +74,7 @@ def class_threshold(entry: str) -> tuple[str, float]:
     if len(name) > MAX_CLASS_NAME:
         raise _no_threshold(entry, f"names a class with more than {MAX_CLASS_NAME} characters")
     try:
-        threshold = float(text)
+        threshold = float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         threshold = math.nan
     if not (name and colon and 0 <= threshold <= 1):

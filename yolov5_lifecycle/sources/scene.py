@@ -85,11 +85,14 @@ class Scene:
 
     def frame(self, index: int) -> tuple[NDArray[np.uint8], Truth]:
         """RGB image (H, W, 3) number `index`, owned by the caller, and its ground truth."""
+        return self.image(index), truth_of(self.shapes(index), self.size_hw)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        """RGB image (H, W, 3) number `index`, owned by the caller."""
         pixels = self._background.copy()
-        shapes = self.shapes(index)
-        for shape in shapes:
+        for shape in self.shapes(index):
             shape.draw(pixels)
-        return pixels, truth_of(shapes, self.size_hw)
+        return pixels
 
     def shapes(self, index: int) -> list[Shape]:
         """The shapes in image number `index`, in the order of the ground truth."""

@@ -108,7 +108,7 @@ def _synthetic(seed: int, size_hw: tuple[int, int], with_depth: bool) -> ImageSo
     space = SceneDepth(seed, scene) if with_depth else None
 
     def frame(index: int) -> SourceFrame:
-        pixels, _ = scene.frame(index)
+        pixels = scene.image(index)
         depth = space.frame(index) if space else None
         return SourceFrame(ColourImage(pixels, "rgb"), scene.shapes(index), depth)
 

@@ -174,6 +174,14 @@ def test_a_wrong_value_stays_one_until_it_is_corrected_itself(ros_domain: int, t
         assert configure(tried).startswith("configure refused, 2 problem(s):")
 
 
+def test_a_read_only_parameter_of_another_type_is_not_made_right_by_an_equal_value(
+    ros_domain: int, tmp_path: Path
+) -> None:
+    with detector(tmp_path, {"autostart": 0}) as tried:
+        assert "read-only: restart the node" in put(tried, "autostart", False).reason
+        assert "autostart" in configure(tried)
+
+
 @pytest.mark.parametrize("given", [{"wieghts": "x"}, {"autostart": 1}], ids=["unknown", "read-only"])
 def test_configure_names_no_command_that_cannot_help(ros_domain: int, tmp_path: Path, given: Values) -> None:
     with detector(tmp_path, given) as tried:

@@ -261,8 +261,10 @@ class SettingsParameters:
 
     def _is_fixed(self, name: str, value: object) -> bool:
         setting = SETTINGS_BY_NAME.get(name)
-        is_read_only = setting is not None and setting.change is Change.READ_ONLY
-        return is_read_only and value != self._current.values[name]  # not its default, if that is refused
+        if setting is None or setting.change is not Change.READ_ONLY:
+            return False
+        given = self._current.values[name]  # wrong or not: neither its default nor False for 0 replaces it
+        return (type(value), value) != (type(given), given)
 
     def _stays(self, parameter: Parameter) -> bool:
         """Whether `parameter` deletes an override that is not set, or is read-only and has this value.
