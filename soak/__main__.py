@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from soak.balance import BalanceWatch, exact_balance
-from soak.collecting import collected_on_bad_disks
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts
 from soak.finding import Finding, found, table, write_report
@@ -18,7 +17,7 @@ from soak.subject import Subject, subject
 _REPORT = Path("build") / "soak" / "report.json"
 _CYCLES, _WARM_UP = 2000, 50
 _TIMES = 20
-NAMES = ("cycles", "mixed", "endings", "collecting", "restarts")
+NAMES = ("cycles", "mixed", "endings", "restarts")
 
 Trial = Callable[[], Finding]
 
@@ -40,7 +39,6 @@ def _trials(options: argparse.Namespace, watches: list[BalanceWatch]) -> dict[st
         "cycles": in_own_process(lambda process: complete_cycles(process, cycles, _WARM_UP)),
         "mixed": in_own_process(lambda process: mixed_life(process, seed, options.minutes)),
         "endings": lambda: clean_endings(ENDINGS * times, seed),
-        "collecting": lambda: collected_on_bad_disks(times, seed),
         "restarts": lambda: clean_restarts([*MOMENTS] * times, seed),
     }
 

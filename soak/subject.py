@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,6 @@ from vision_msgs.msg import Detection2DArray
 from soak import faulty_detector
 from soak.balance import BalanceWatch
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, own_domain
-from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
 
 _UNEXPECTED = re.compile(r"Traceback|unexpected \w+ in", re.IGNORECASE)
@@ -68,7 +67,6 @@ class Subject(DetectorProcess):
 
     def __init__(self, process: ChildProcess, observer: Observer, domain: int) -> None:
         self.balance = BalanceWatch()
-        self._statuses: tuple[int, dict[str, dict[str, str]]] = (0, {})
         self._escaped: dict[str, None] = {}
         observer.create_subscription(DiagnosticArray, "/diagnostics", self._watch, 100)
         super().__init__(process, observer, domain)
@@ -93,24 +91,16 @@ class Subject(DetectorProcess):
         super().reset()
         assert self.node.set_parameters(use_sim_time=False) == ""
 
-    def statuses(self) -> dict[str, dict[str, str]]:
-        """The values and the `message` in the first diagnostics made from now on: "" of the node, by name of
-        every camera."""
-        begun_ns = time.time_ns()
-        self.observer.wait_for(lambda: self._statuses[0] > begun_ns, "diagnostics")
-        return self._statuses[1]
-
     def resources(self) -> Resources:
         return Resources.of(self.process.process_id)
 
     def _watch(self, message: DiagnosticArray) -> None:
-        statuses = {
-            _camera_of(status.name): {value.key: value.value for value in status.values}
-            | {"message": status.message}
-            for status in message.status
-        }
-        self._statuses = stamp_ns(message.header), statuses
-        self.balance.take(statuses)
+        self.balance.take(
+            {
+                _camera_of(status.name): {value.key: value.value for value in status.values}
+                for status in message.status
+            }
+        )
         self._read_log()  # now, as it keeps only the last lines
 
     def _read_log(self) -> None:
@@ -177,9 +167,9 @@ def subject() -> Iterator[Subject]:
 
 
 @contextmanager
-def subject_in(domain: int, parameters: Mapping[str, object] = PARAMETERS) -> Iterator[Subject]:
+def subject_in(domain: int) -> Iterator[Subject]:
     """A process in `domain`."""
-    command = [sys.executable, faulty_detector.__file__, "--ros-args", *as_arguments(parameters)]
+    command = [sys.executable, faulty_detector.__file__, "--ros-args", *as_arguments(PARAMETERS)]
     with ChildProcess("detector", command, environment(domain)) as process:
         process.wait_for_output("next step: ", _START_S)
         with closing(Observer("client", domain=domain, check=process.check_running)) as observer:
