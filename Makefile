@@ -114,7 +114,7 @@ help:
 	@echo '              (BENCH_FLAGS="--quick"  CAMERAS_FLAGS="--quick"  TRACKING_FLAGS="--seeds 1")'
 	@echo 'make bench-families  the forward pass of every family of models beside eager torch (FAMILIES_FLAGS="--quick")'
 	@echo 'make soak     hours of hostile clients, faults and signals; table, and build/soak/report.json'
-	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, settings, labels and calibrations'
+	@echo 'make fuzz     coverage-guided fuzzing of what reads images, weights, labels and recordings'
 	@echo 'make mutants  changes the code in small ways, which a test must notice  (MUTANTS="yolov5_lifecycle.tracking.*")'
 	@echo 'make release-check  builds a release of the last commit into build/dist and checks it: docs/releasing.md'
 	@echo 'make interfaces-wheels  only the compiled messages  (RELEASE_PYTHONS="python3.11 python3.12")'

@@ -1,4 +1,4 @@
-"""Fuzz targets: labels, calibrations, settings, data sets, cameras and drives are read or refused."""
+"""Fuzz targets: labels, data sets and drives are read or refused."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin
-from support.colcon_workspace import REPOSITORY
 from support.recorded_scene import record, text
 
 from fuzz.inputs import folder, taken, written
@@ -20,30 +19,11 @@ from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, Boxes, DataErr
 from yolov5_lifecycle.evaluation.yolo_folder import parsed_labels, read_description, read_yolo_folder
 from yolov5_lifecycle.offline.recording import RecordingError, open_recording
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.quantization.calibration_file import (
-    read_calibration,
-    write_calibration,
-)
-from yolov5_lifecycle.runtimes.quantization import QuantizationError
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError, read_parameter_file
 from yolov5_lifecycle.settings.value_rules import MAX_CLASS_NAME
-from yolov5_lifecycle.sources.camera_info import read_camera_info
 
 _SIZE_HW = (100, 200)
 _CLASSES = 3
-_CALIBRATION = REPOSITORY / "weights" / "shapes.calibration.json"
-_KEPT_LAYERS = 2
 _MESSAGES = 100
-_CAMERA_INFO = """\
-image_width: 640
-image_height: 480
-camera_name: front
-camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0, 0, 0]}
-rectification_matrix: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}
-projection_matrix: {rows: 3, cols: 4, data: [500, 0, 320, 0, 0, 500, 240, 0, 0, 0, 1, 0]}
-"""
 
 
 def check_labels(data: bytes) -> None:
@@ -63,19 +43,6 @@ def check_coco_file(data: bytes) -> None:
             _check_boxes(image.labels.boxes, len(found.class_names))
 
 
-def check_calibration(data: bytes) -> None:
-    """Expect a calibration with ordered ranges, or a one-line error."""
-    path = written("best.calibration.json", data)
-    if calibration := taken(partial(read_calibration, path), QuantizationError):
-        assert all(low <= 0 <= high and low < high for low, high in calibration.ranges.values())
-
-
-def check_parameter_file(data: bytes) -> None:
-    """Expect parameters by node, or a one-line error."""
-    nodes = taken(partial(read_parameter_file, written("parameters.yaml", data)), ParameterFileError)
-    assert all(pattern.startswith("/") for pattern in nodes or ())
-
-
 def check_description(data: bytes) -> None:
     """Expect class names and folders, or a one-line error."""
     if description := taken(partial(read_description, written("data.yaml", data)), DataError):
@@ -93,12 +60,6 @@ def check_image_list(data: bytes) -> None:
     paths = [image.path for image in found.images] if found else []
     assert len(set(paths)) == len(paths)
     assert all(path.is_relative_to(parent) for path in paths)
-
-
-def check_camera_info(data: bytes) -> None:
-    """Expect the values of camera_info, or a one-line error."""
-    known = taken(partial(read_camera_info, f"file://{written('camera.yaml', data)}"), ValueError)
-    assert known is None or len(known.projection_matrix.data) == 12
 
 
 def check_recording(data: bytes) -> None:
@@ -121,20 +82,6 @@ def coco_seeds() -> Iterator[bytes]:
     ).encode()
 
 
-def calibration_seeds() -> Iterator[bytes]:
-    """The calibration of the shapes model, with few of its layers."""
-    whole = read_calibration(_CALIBRATION)
-    few = {name: dict(list(getattr(whole, name).items())[:_KEPT_LAYERS]) for name in ("ranges", "means")}
-    path = folder() / "seed.calibration.json"
-    write_calibration(path, whole.model_copy(update=few))
-    yield path.read_bytes()
-
-
-def parameter_file_seeds() -> Iterator[bytes]:
-    yield (REPOSITORY / "config" / "two_cameras.yaml").read_bytes()
-    yield b"/**:\n  ros__parameters:\n    classes: [cat, 'dog']\n    front.max_rate: 0x1p3\n"
-
-
 def description_seeds() -> Iterator[bytes]:
     yield b"path: .\nval: [images/val, more.txt]\nnames: {0: cat, 1: dog}\n"
     yield b"train: a\nnames: [cat]\n"
@@ -143,10 +90,6 @@ def description_seeds() -> Iterator[bytes]:
 
 def image_list_seeds() -> Iterator[bytes]:
     yield b"1.jpg\r\n./1.jpg\n1.jpg\n../1.jpg\n/1.jpg\n"
-
-
-def camera_info_seeds() -> Iterator[bytes]:
-    yield _CAMERA_INFO.encode()
 
 
 def recording_seeds() -> Iterator[bytes]:

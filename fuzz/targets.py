@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 
-import numpy as np
 import torch
 from support import hostile_archives, hostile_onnx, hostile_safetensors
 from support import pickle_assembler as asm
@@ -23,7 +21,6 @@ from fuzz.inputs import taken
 from yolov5_lifecycle.checkpoints.onnx_file import export_cost, read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors
-from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.compressed import decode_compressed
 from yolov5_lifecycle.images.encodings import ENCODINGS, decode_raw
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError
@@ -35,19 +32,8 @@ from yolov5_lifecycle.models.model import MAX_CLASSES, Export, Model, WeightsErr
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError, assigned_value
-from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.settings.settings import SETTINGS, Settings, validated
-from yolov5_lifecycle.settings.value_rules import class_threshold
 
 _MAX_SEED_BYTES = 4096
-_FILTERS = b"""class_thresholds=["person: 0.5", "0: .25"]
-regions=["0.1,0.5 0.9,0.5 1,1 0,1", "0,0 5e-1,0 0.5,.5"]
-ignore_regions=["0,0 1,0 1,1"]
-region_anchor=foot
-min_box_size=8.0
-max_box_size=0.5"""
-"""Settings whose strings are parsed."""
 _PROTOCOLS = (2, 4, 5)
 _RAW_IMAGE = struct.Struct("<BBHHI")
 """Index of the encoding, byte order, height, width and step; the pixels follow."""
@@ -155,33 +141,6 @@ def check_onnx(data: bytes) -> None:
     assert export_cost(export, side).weight_bytes < 4 * len(data)
 
 
-def check_settings(data: bytes) -> None:
-    """Expect that lines of NAME=VALUE give settings that are stable when revalidated, or problems."""
-    lines = data.decode(errors="replace").split("\n")
-    values = taken(lambda: dict(map(assigned_value, lines)), ParameterFileError)
-    try:
-        settings = validated(values or {})
-    except SettingsError as error:
-        assert error.problems
-        assert all(len(problem.message) < 500 for problem in error.problems)
-    else:
-        assert validated(settings.model_dump()) == settings
-        _check_selection(settings.model_copy(update={"classes": ()}))
-
-
-def _check_selection(settings: Settings) -> None:
-    """Expect a selection for a model that has the classes that `settings` name, or problems."""
-    class_names = tuple(dict(map(class_threshold, settings.class_thresholds)))
-    if model_problems(settings, class_names):
-        return
-    admitted = selection(settings, class_names)
-    assert 0 <= admitted.min_score <= 1
-    if (box_filter := admitted.box_filter) is not None:
-        assert len(box_filter.regions) == len(settings.regions)
-        boxes_xyxy = np.array([[0, 0, 640, 480], [10, 20, 30, 40]], np.float32)
-        assert box_filter.admits(boxes_xyxy, (480, 640)).shape == (2,)
-
-
 def _compressed_images() -> Iterator[bytes]:
     """Complete files, and small ones in unusual forms."""
     yield from map(compressed, KINDS)
@@ -234,10 +193,6 @@ def _costly_headers() -> Iterator[bytes]:
         yield hostile_safetensors.cut(hostile_safetensors.written(random_model(0, architecture)))[0]
 
 
-def _defaults() -> bytes:
-    return "\n".join(f"{setting.name}={json.dumps(setting.default)}" for setting in SETTINGS).encode()
-
-
 TARGETS = {
     "compressed-images": Target(check_compressed_image, _compressed_images),
     "raw-images": Target(check_raw_image, _raw_images),
@@ -245,13 +200,9 @@ TARGETS = {
     "families": Target(check_family, _family_pickles),
     "safetensors": Target(check_safetensors, lambda: [_header(), *_costly_headers()]),
     "exports": Target(check_export, lambda: [hostile_onnx.graph_without_weights()]),
-    "settings": Target(check_settings, lambda: [_defaults(), _FILTERS]),
     "labels": Target(files.check_labels, files.label_seeds),
     "coco-files": Target(files.check_coco_file, files.coco_seeds),
-    "calibrations": Target(files.check_calibration, files.calibration_seeds),
-    "parameter-files": Target(files.check_parameter_file, files.parameter_file_seeds),
     "descriptions": Target(files.check_description, files.description_seeds),
     "image-lists": Target(files.check_image_list, files.image_list_seeds),
-    "camera-info": Target(files.check_camera_info, files.camera_info_seeds),
     "recordings": Target(files.check_recording, files.recording_seeds),
 }
