@@ -178,7 +178,7 @@ bench: $(TESTS)
 	$(VENV)/bin/python -m benchmark.recordings $(RECORDINGS_FLAGS)
 
 bench-families: $(TESTS)
-	$(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)
+	PYTHONPATH=test $(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)
 
 # It drives the detector with the tools in test/support.
 soak: $(TESTS)

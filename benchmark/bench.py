@@ -65,16 +65,6 @@ class Bench:
             medians_ms = {name: median for (name, load), median in self._medians_ms.items() if load == busy}
             self.goals += forward_goals(medians_ms, busy)
 
-    def model_sizes(self) -> None:
-        """The forward of larger networks."""
-        for size in () if self._quick else ("s", "m"):
-            weights = str(untrained_weights(size, self._folder))
-            names = [f"{RUNTIME_PREFIX}{name}" for name in installed_runtimes()]
-            tasks = [Task("work", name, weights, size_hw(self._size)) for name in names]
-            taken_ms, _ = measure(tasks, loads=self._loads, turns=4, cache=self._folder)
-            for (task, busy), times_ms in taken_ms.items():
-                self._add(row(f"size {size}", task.name, busy, times_ms))
-
     def node(self) -> None:
         """Processes as on a robot, images of several sizes."""
         load_s = timed(partial(load_weights, self._weights))
@@ -165,7 +155,7 @@ def measured(options: argparse.Namespace, folder: Path) -> Figures:
     """All parts."""
     gc.disable()  # a full collection would stop the detection subscriber for 0.2 s
     bench = Bench(options, folder)
-    for part in (bench.forwards, bench.model_sizes, bench.node):
+    for part in (bench.forwards, bench.node):
         print(f"measuring: {part.__doc__}", flush=True)
         part()
     return bench.rows, bench.goals

@@ -136,9 +136,9 @@ class Fleet:
                 raise RuntimeError(f"{process.name} refused to {transition}:\n{process.last_words}")
         return time.monotonic() - begun_s
 
-    def camera(self, name: str, image: Path, *, rate_hz: float, manner: str = "") -> ChildProcess:
-        """A process that publishes `image`; with a `manner`, one that misbehaves that way."""
-        words = [str(image), str(rate_hz), f"{self._prefixes[name]}/image_raw", *filter(None, [manner])]
+    def camera(self, name: str, image: Path, *, rate_hz: float) -> ChildProcess:
+        """A process that publishes `image`."""
+        words = [str(image), str(rate_hz), f"{self._prefixes[name]}/image_raw"]
         profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE)}
         command = [sys.executable, light_camera.__file__, *words]
         return ChildProcess(f"camera {name}", command, {**self._environment, **profile})

@@ -9,12 +9,12 @@ import argparse
 import statistics
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
-from benchmark.camera_fleet import LAYOUTS, Fleet, Layout, Passage, active_fleet, materials
-from benchmark.fairness import equal_shares, others_rates, slow_beside_fast
+from benchmark.camera_fleet import LAYOUTS, Layout, Passage, active_fleet, materials
+from benchmark.fairness import equal_shares, slow_beside_fast
 from benchmark.report import Figures, Goal, Program, Row, in_turns, quick, row
 
 IMAGE_HW = (480, 640)
@@ -22,7 +22,6 @@ FOLLOWED = 4
 """Number of cameras whose comparison has goals."""
 _SHARING_HZ = 20.0
 _SLOW_HZ, _FAST_HZ = 5.0, 120.0
-_SMALL_SIZE = 320
 
 
 class CameraBench:
@@ -53,30 +52,17 @@ class CameraBench:
             self.goals += layout_goals({what: statistics.median(values) for what, values in ratios.items()})
 
     def fairness(self) -> None:
-        """How cameras share one node: equal ones, a slow beside a fast one, a misbehaving one."""
-        names, passages = _names(FOLLOWED), [self._passage_s] * self._rounds
-        with self._shared(names) as fleet:
-            total_hz, rows, goals = equal_shares(
-                fleet, names, self._image, rate_hz=_SHARING_HZ, duration_s=self._shares_s
+        """How cameras share one node: equal ones, a slow beside a fast one."""
+        names, rates_hz = _names(FOLLOWED), (_SLOW_HZ, _FAST_HZ)
+        passages = [self._passage_s] * self._rounds
+        with active_fleet("one node", names, weights=self._weights, cache=self._folder) as fleet:
+            equal = equal_shares(fleet, names, self._image, rate_hz=_SHARING_HZ, duration_s=self._shares_s)
+            beside = slow_beside_fast(
+                fleet, (names[0], names[1]), self._image, rates_hz=rates_hz, passages=passages
             )
-            self._add(rows, goals)
-            rates_hz = _SLOW_HZ, _FAST_HZ
-            self._add(
-                *slow_beside_fast(
-                    fleet, (names[0], names[1]), self._image, rates_hz=rates_hz, passages=passages
-                )
-            )
-        # A smaller network, at rates that the larger one could just keep up with: none is in a hurry.
-        rate_hz = round(total_hz / FOLLOWED, 1)
-        with self._shared(names, image_size=_SMALL_SIZE) as fleet:
-            self._add(*others_rates(fleet, names, self._image, rate_hz=rate_hz, passages=passages))
-
-    def _shared(self, names: Sequence[str], **parameters: object) -> AbstractContextManager[Fleet]:
-        return active_fleet("one node", names, weights=self._weights, cache=self._folder, **parameters)
-
-    def _add(self, rows: Sequence[Row], goals: Sequence[Goal]) -> None:
-        self.rows += rows
-        self.goals += goals
+        for rows, goals in (equal, beside):
+            self.rows += rows
+            self.goals += goals
 
     def _passage(self, layout: Layout, count: int, rate_hz: float) -> Passage:
         """Measure with new processes, so that nothing but this layout is in memory."""

@@ -1,24 +1,17 @@
-"""How cameras share one node, and what a misbehaving one costs the others."""
+"""How cameras share one node."""
 
 from __future__ import annotations
 
 import itertools
-import os
-import signal
 import statistics
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from benchmark.camera_fleet import Arrival, Fleet
 from benchmark.report import Goal, Row, row
 
-MANNERS = ("like the others", "stalled", "vanished", "sending garbage", "changing size")
 MAX_DEVIATION_PERCENT = 5.0
-_WELL = MANNERS[0]
-_SIGNALS = {"stalled": signal.SIGSTOP, "vanished": signal.SIGKILL}
-_GARBAGE = 10
-"""Factor on the usual rate for a camera that sends unreadable images."""
 
 
 def share_deviation_percent(counts: Sequence[int]) -> float:
@@ -40,8 +33,8 @@ def overtaking(arrivals: Iterable[Arrival], slow: str) -> list[int]:
 
 def equal_shares(
     fleet: Fleet, names: Sequence[str], image: Path, *, rate_hz: float, duration_s: float
-) -> tuple[float, list[Row], list[Goal]]:
-    """Cameras of equal rate that together send more than can be detected; also returns the total rate."""
+) -> tuple[list[Row], list[Goal]]:
+    """Cameras of equal rate that together send more than can be detected."""
     with ExitStack() as stack:
         for name in names:
             stack.enter_context(fleet.camera(name, image, rate_hz=rate_hz))
@@ -52,7 +45,7 @@ def equal_shares(
     what = f"{len(names)} cameras of {rate_hz:g} Hz, share"
     unit = f"images in {passage.duration_s:.0f} s"
     rows = [row("fairness", what, 0, [float(count) for count in counts], unit=unit)]
-    return passage.rate_hz, rows, [_deviation_goal("shares differ by [%]", deviation)]
+    return rows, [Goal("shares differ by [%]", 0, deviation, True, MAX_DEVIATION_PERCENT)]
 
 
 def slow_beside_fast(
@@ -93,57 +86,6 @@ def slow_beside_fast(
     ]
 
 
-def others_rates(
-    fleet: Fleet,
-    names: Sequence[str],
-    image: Path,
-    *,
-    rate_hz: float,
-    passages: Sequence[float],
-    manners: Sequence[str] = MANNERS,
-) -> tuple[list[Row], list[Goal]]:
-    """Rate of all cameras but the last, which behaves in each of `manners` in turn."""
-    *others, last = names
-    rates_hz: dict[str, list[float]] = {manner: [] for manner in manners}
-    with ExitStack() as stack:
-        for name in others:
-            stack.enter_context(fleet.camera(name, image, rate_hz=rate_hz))
-        for duration_s in passages:
-            for manner in manners:
-                with _behaving(fleet, last, image, manner, rate_hz):
-                    fleet.wait_for(others)
-                    passage = fleet.watch(others, duration_s)
-                detected = sum(passage.counts[name] for name in others)
-                rates_hz[manner].append(detected / passage.duration_s)
-    rows = [row("others", f"beside one {manner}", 0, hz, unit="Hz") for manner, hz in rates_hz.items()]
-    changes = {manner: _change_percent(hz, rates_hz[_WELL]) for manner, hz in rates_hz.items()}
-    return rows, [
-        _deviation_goal(f"others' rate changed beside one {manner} [%]", percent)
-        for manner, percent in changes.items()
-        if manner != _WELL
-    ]
-
-
-@contextmanager
-def _behaving(fleet: Fleet, name: str, image: Path, manner: str, rate_hz: float) -> Iterator[None]:
-    is_other_camera = manner not in (_WELL, *_SIGNALS)
-    rate_hz *= _GARBAGE if manner == "sending garbage" else 1
-    with fleet.camera(name, image, rate_hz=rate_hz, manner=manner if is_other_camera else "") as process:
-        if manner in _SIGNALS:
-            fleet.wait_for([name])
-            os.kill(process.process_id, _SIGNALS[manner])
-        yield
-
-
-def _change_percent(rates_hz: Sequence[float], usual_hz: Sequence[float]) -> float:
-    ratios = [rate / usual for rate, usual in zip(rates_hz, usual_hz, strict=True)]
-    return 100 * abs(statistics.median(ratios) - 1)
-
-
 def _gaps_ms(arrivals: Sequence[Arrival]) -> list[float]:
     pairs = itertools.pairwise(arrivals)
     return [(after.received_ns - before.received_ns) / 1e6 for before, after in pairs]
-
-
-def _deviation_goal(what: str, percent: float) -> Goal:
-    return Goal(what, 0, percent, True, MAX_DEVIATION_PERCENT)

@@ -1,48 +1,26 @@
 """Time of the forward pass of every model family in each runtime, compared with eager torch.
 
-python -m benchmark.families [--quick] [--only NAME ...] [--size 640x480]
+PYTHONPATH=test python -m benchmark.families [--quick] [--only NAME ...] [--size 640x480]
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+
+from support.formula_model import families, family_architecture
 
 from benchmark.contender import Task, measure
 from benchmark.models import untrained_network
 from benchmark.report import Figures, Goal, Program, Row, quick, row, size_hw
 from benchmark.work import RUNTIME_PREFIX
-from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import Architecture
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 
-DATA = Path(__file__).parents[1] / "test" / "data" / "families.json"
 EAGER = "eager torch"
 QUICK = ("yolov5n-act-SiLU", "v3.0/yolov5s", "yolov5s-ghost", "yolov5s-transformer", "yolov3-tiny", "zoo")
-
-
-def families() -> Iterator[tuple[str, Architecture]]:
-    """The architectures by name, without those that equal another one."""
-    found: Mapping[str, Any] = json.loads(DATA.read_text())
-    for name, described in found.items():
-        if "same_numbers_as" not in described:
-            yield name, _architecture(described)
-
-
-def _architecture(described: Mapping[str, Any]) -> Architecture:
-    architecture = architecture_of(
-        described["yaml"] | {"ch": described["image_channels"]},
-        classes=described["yaml"]["nc"],
-        anchors_px=tuple(tuple(map(tuple, level)) for level in described["anchors_px"]),
-        strides=tuple(described["strides"]),
-    )
-    others = tuple((path, activation) for path, activation in described.get("other_activations", []))
-    return dataclasses.replace(architecture, activation=described["activation"], other_activations=others)
 
 
 def family(
@@ -66,16 +44,16 @@ def goal(rows: Sequence[Row]) -> Goal:
 
 def measured(options: argparse.Namespace, folder: Path) -> Figures:
     """The chosen families."""
-    chosen = options.only or (QUICK if options.quick else [name for name, _ in families()])
+    every = [name for name, described in families().items() if "same_numbers_as" not in described]
+    chosen = options.only or (QUICK if options.quick else every)
     turns = 3 if options.quick else 6
     rows: list[Row] = []
     goals: list[Goal] = []
-    for name, architecture in families():
-        if name in chosen:
-            print(f"measuring: {name}", flush=True)
-            of_family = family(name, architecture, options.size, turns, folder)
-            rows += of_family
-            goals.append(goal(of_family))
+    for name in chosen:
+        print(f"measuring: {name}", flush=True)
+        of_family = family(name, family_architecture(name), options.size, turns, folder)
+        rows += of_family
+        goals.append(goal(of_family))
     return rows, goals
 
 

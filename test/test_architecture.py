@@ -37,10 +37,6 @@ RANK = {folder: rank for rank, folders in enumerate(RANKS) for folder in folders
 ROS_RANK = {"": 0, "parameters": 1, "camera": 2, "console": 2, "detector": 2, "demo": 3, "doctor": 4}
 WITHOUT_TORCH = ("images", "settings", "spatial", "streaming", "sources", "process", "tracking", "evaluation")
 
-PRIVATE_BY_NAME_ONLY = {
-    "os._exit",  # documented
-}
-
 
 def module_name(path: Path) -> str:
     """The name below the package: `images.encodings`."""
@@ -138,31 +134,6 @@ def test_what_does_not_need_a_library_imports_without_it(
         f"import sys; sys.modules.update(dict.fromkeys({blocked!r})); import importlib; "
         f"[importlib.import_module('yolov5_lifecycle.' + name) for name in {modules!r}]"
     )
-
-
-def private_attributes(tree: ast.Module) -> set[str]:
-    """Private attributes of something other than `self` and `cls`, also as a constant in getattr."""
-    names = set()
-    for node in ast.walk(tree):
-        owner, name = None, ""
-        if isinstance(node, ast.Attribute):
-            owner, name = node.value, node.attr
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr", "hasattr"):
-            owner, name = node.args[0], ast.unparse(node.args[1]).strip("'")
-        if name == "_replace":  # documented: every named tuple has it
-            continue
-        if name.startswith("_") and not name.endswith("__") and owner is not None:
-            names.add(f"{ast.unparse(owner)}.{name}")
-    return {name for name in names if not name.startswith(("self._", "cls._"))}
-
-
-def test_private_parts_of_other_packages_are_used_in_one_file() -> None:
-    assert [
-        f"{module} uses {name}"
-        for module, tree in MODULES.items()
-        if module != "ros.rclpy_internals"
-        for name in private_attributes(tree) - PRIVATE_BY_NAME_ONLY
-    ] == []
 
 
 def attributes_set(tree: ast.Module) -> set[str]:

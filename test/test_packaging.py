@@ -153,19 +153,6 @@ def from_package_index(installed: Distribution) -> bool:
     )
 
 
-def test_the_sets_differ_only_in_what_they_are_for() -> None:
-    newest, apt, kilted = (pins(SETS[name]) for name in ("tested", "apt", "kilted"))
-    assert differing(newest, apt) == {"numpy", "opencv-python-headless", "scipy"}
-    assert apt["numpy"].startswith("1.26.")
-    assert "ros-rclpy" in differing(newest, kilted)
-    assert all(name.startswith("ros-") for name in differing(newest, kilted))
-
-
-def differing(one: dict[str, str], other: dict[str, str]) -> set[str]:
-    """The packages that are not at the same version in both, or only in one."""
-    return {name for name in one.keys() | other.keys() if one.get(name) != other.get(name)}
-
-
 def test_every_installed_package_is_pinned() -> None:
     installed = {
         canonicalize_name(found.name): found.version.partition("+")[0]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -12,11 +10,11 @@ from support.colcon_workspace import REPOSITORY
 from torch import Tensor
 
 from tools.shapes.evaluate import tally
-from tools.shapes.images import MASK_CELL_PX, Batches, covered_shares, spoil
+from tools.shapes.images import MASK_CELL_PX, Batches
 from tools.shapes.labelled_image import LabelledImage
 from tools.shapes.learning import as_input
-from tools.shapes.loss import ciou, detection_loss, match
-from tools.shapes.mask_loss import COVERED_GAIN, mask_loss
+from tools.shapes.loss import detection_loss
+from tools.shapes.mask_loss import mask_loss
 from tools.shapes.train import ARCHITECTURE
 from tools.shapes.train_masks import MaskBranch, joined, segmenting
 from yolov5_lifecycle.checkpoints.locate import load_weights
@@ -28,7 +26,6 @@ from yolov5_lifecycle.sources.scene import Truth
 
 pytestmark = pytest.mark.long
 
-NO_TARGETS = torch.empty(0, 6)
 SEGMENTING = segmenting(ARCHITECTURE)
 BOX, SHIFTED_BOX, FAR_BOX = (0, 0, 10, 10), (1, 0, 11, 10), (50, 50, 60, 60)
 
@@ -52,7 +49,7 @@ def _detections(*rows: tuple[int, tuple[float, ...]]) -> Detections:
     return Detections(truth.boxes_xyxy, np.linspace(0.9, 0.5, len(rows), dtype=np.float32), truth.class_ids)
 
 
-@pytest.mark.parametrize("index", range(6))
+@pytest.mark.parametrize("index", range(3))
 def test_the_targets_and_masks_of_a_batch_lie_in_its_images_and_fill_their_boxes(index: int) -> None:
     batch, same, other = Batches(2, 9)[index], Batches(2, 9)[index], Batches(2, 9)[index + 1]
     assert torch.equal(batch.pixels, same.pixels)
@@ -71,91 +68,6 @@ def test_the_targets_and_masks_of_a_batch_lie_in_its_images_and_fill_their_boxes
         filled = torch.stack((left, top, right + 1, bottom + 1)) * MASK_CELL_PX
         torch.testing.assert_close(filled.float(), box, atol=MASK_CELL_PX + 1.5, rtol=0)
         assert 0.25 < mask.sum() * MASK_CELL_PX**2 / (w * h) < 1.01
-
-
-def test_degrading_does_not_change_its_input() -> None:
-    pixels = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
-    before = pixels.copy()
-    spoilt = [spoil(np.random.default_rng(seed), pixels) for seed in range(30)]
-    np.testing.assert_array_equal(pixels, before)
-    assert all(image.shape == pixels.shape and image.dtype == np.uint8 for image in spoilt)
-    assert sum(not np.array_equal(image, pixels) for image in spoilt) > 20
-
-
-ASPECT = 4 / math.pi**2 * (math.atan(2) - math.atan(0.5)) ** 2
-
-
-@pytest.mark.parametrize(
-    ("box", "other", "expected"),
-    [
-        pytest.param((0.1, -0.4, 9.0, 0.5), (0.1, -0.4, 9.0, 0.5), 1, id="the same"),
-        pytest.param((1, 1, 2, 2), (2, 1, 2, 2), 1 / 3 - 1 / (3**2 + 2**2), id="distance of centres"),
-        pytest.param((0, 0, 2, 1), (0, 0, 1, 2), 1 / 3 - ASPECT**2 / (1 - 1 / 3 + ASPECT), id="aspect"),
-    ],
-)
-def test_the_ciou_is_the_iou_less_the_distance_of_centres_and_the_difference_of_aspect(
-    box: tuple[float, ...], other: tuple[float, ...], expected: float
-) -> None:
-    assert ciou(torch.tensor([box]).float(), torch.tensor([other]).float()).item() == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("centre_px", "cells"),
-    [
-        pytest.param((18.0, 19.0), {(2, 2), (1, 2), (2, 1)}, id="upper left half"),
-        pytest.param((22.0, 23.0), {(2, 2), (3, 2), (2, 3)}, id="lower right half"),
-        pytest.param((78.0, 3.0), {(9, 0)}, id="corner of the image"),
-    ],
-)
-def test_the_cell_of_the_centre_and_its_nearest_neighbours_answer(
-    centre_px: tuple[float, float], cells: set[tuple[int, int]]
-) -> None:
-    target = torch.tensor([[0, 1, *centre_px, 25.0, 25.0]])
-    matches = match(target, torch.tensor([[3.0, 3.0]]), stride=8, grid_hw=(8, 10))
-    assert set(zip(matches.columns.tolist(), matches.rows.tolist(), strict=True)) == cells
-    assert ((matches.boxes[:, :2] >= -0.5) & (matches.boxes[:, :2] <= 1.5)).all()
-
-
-def test_without_targets_only_objectness_is_to_be_learnt() -> None:
-    logits = [torch.full((1, 3, size, size, 9), -20.0) for size in (8, 4, 2)]
-    assert detection_loss(logits, NO_TARGETS, ARCHITECTURE).item() == pytest.approx(0, abs=1e-6)
-    prototypes = torch.randn(1, SEGMENTING.mask_coefficients, 16, 16)
-    assert mask_loss(_coefficients(), prototypes, NO_TARGETS, torch.empty(0, 16, 16), SEGMENTING).item() == 0
-
-
-def test_the_share_of_a_cell_is_that_of_its_pixels() -> None:
-    labels = np.zeros((8, 12), np.uint16)
-    labels[1:3, 4:8] = 1
-    labels[2:8, 7:12] = 2
-    shares = covered_shares(labels, 3)
-    assert shares.dtype == np.float32
-    expected = [[[0, 7, 0], [0, 0, 0]], [[0, 2, 8], [0, 4, 16]], np.zeros((2, 3))]
-    np.testing.assert_array_equal(shares * MASK_CELL_PX**2, expected)
-
-
-def _coefficients(batch: int = 1) -> list[Tensor]:
-    torch.manual_seed(0)
-    return [torch.randn(batch, 3, side, side, SEGMENTING.mask_coefficients) for side in (8, 4, 2)]
-
-
-def test_the_loss_of_masks_is_that_of_a_slow_reference() -> None:
-    coefficients = _coefficients(batch=2)
-    prototypes = torch.randn(2, SEGMENTING.mask_coefficients, 16, 16)
-    # One cell and anchor each: in a corner of the image, and of a size that fits one anchor only.
-    targets = torch.tensor([[0, 1, 1.0, 1.0, 9.0, 9.0], [1, 0, 63.0, 63.0, 9.0, 10.0]])
-    masks = torch.rand(2, 16, 16)
-    expected = 0.0
-    for (image, _, x, y, w, h), mask, cell in zip(targets.tolist(), masks, (0, 7), strict=True):
-        total = 0.0
-        for row, column in np.ndindex(16, 16):
-            is_near = abs(column + 0.5 - x / 4) < w / 8 + 1 and abs(row + 0.5 - y / 4) < h / 8 + 1
-            logit = coefficients[0][int(image), 0, cell, cell] @ prototypes[int(image), :, row, column]
-            found, wanted = 1 / (1 + math.exp(-float(logit))), float(mask[row, column])
-            total -= is_near * COVERED_GAIN * wanted * math.log(found)
-            total -= is_near * (1 - wanted) * math.log(1 - found)
-        expected += total / (w / 4 * h / 4) / 2
-    loss = mask_loss(coefficients, prototypes, targets, masks, SEGMENTING)
-    assert loss.item() == pytest.approx(expected, rel=1e-4)
 
 
 def test_learning_lowers_both_losses(model: Model) -> None:

@@ -31,9 +31,3 @@ def test_every_wait_has_a_limit() -> None:
     files = [file for folder in FOLDERS for file in (REPOSITORY / "yolov5_lifecycle" / folder).glob("*.py")]
     assert len(files) > len(FOLDERS)
     assert [f"{file.name}: {call}" for file in files for call in endless_waits(file.read_text())] == []
-
-
-def test_a_wait_without_limit_is_found() -> None:
-    endless = ["job.wait()", "job.wait(timeout=None)", "changed.wait_for(is_over)"]
-    limited = ["job.wait(timeout_s)", "changed.wait_for(is_over, 3.0)", "', '.join(names)"]
-    assert list(endless_waits("\n".join(endless + limited))) == endless

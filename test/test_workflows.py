@@ -56,12 +56,6 @@ def test_a_workflow_has_no_rights_and_a_job_changes_only_what_it_is_there_for() 
     assert read <= {"contents"}
 
 
-def test_a_job_ends() -> None:
-    limits = [job["timeout-minutes"] for *_, job in JOBS if "runs-on" in job]  # others are workflows
-    assert limits
-    assert all(0 < minutes <= 360 for minutes in limits)
-
-
 def test_no_workflow_gives_the_rights_of_this_repository_to_a_change_of_strangers() -> None:
     for name, workflow in WORKFLOWS.items():
         triggers = workflow[True]  # what YAML makes of the key `on`

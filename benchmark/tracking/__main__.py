@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from benchmark.report import Figures, Goal, Program
-from benchmark.tracking.cases import Case, counts_of, oracle_ids, own_ids, rendered_cases, simulated_cases
+from benchmark.tracking.cases import Case, counts_of, oracle_ids, own_ids, simulated_cases
 from benchmark.tracking.figures import TrackCounts
 from benchmark.tracking.scenes import STILL_SCENES
 from benchmark.tracking.times import time_rows
@@ -54,41 +54,33 @@ def _groups(cases: Sequence[Case], counts: Sequence[TrackCounts]) -> dict[Group,
     return groups
 
 
-def identity_goals(
-    what: str, cases: Sequence[Case], counts: Mapping[str, Sequence[TrackCounts]]
-) -> Iterator[Goal]:
+def identity_goals(cases: Sequence[Case], counts: Mapping[str, Sequence[TrackCounts]]) -> Iterator[Goal]:
     """Of the IDF1 with and without images, compared with the oracle and with each other."""
     idf1 = {name: {g: c.idf1 for g, c in _groups(cases, each).items()} for name, each in counts.items()}
     oracle = idf1.pop("oracle", {})
     for name, own in idf1.items() if oracle else ():
         gains = [own[group] - oracle[group] for group in own]
         mean = sum(gains) / len(gains)
-        yield Goal(f"IDF1 less the oracle's, {what}, {name}, mean", 0, mean, False, MIN_GAIN)
-        yield Goal(f"IDF1 less the oracle's, {what}, {name}, worst scene", 0, min(gains), False, -MAX_LOSS)
+        yield Goal(f"IDF1 less the oracle's, {name}, mean", 0, mean, False, MIN_GAIN)
+        yield Goal(f"IDF1 less the oracle's, {name}, worst scene", 0, min(gains), False, -MAX_LOSS)
     losses = [idf1["boxes"][group] - own for group, own in idf1["own"].items() if group[0] in STILL_SCENES]
     if losses:
         mean = sum(losses) / len(losses)
-        yield Goal(f"IDF1 lost through images, {what}, camera still", 0, mean, True, MAX_STILL_LOSS)
+        yield Goal("IDF1 lost through images, camera still", 0, mean, True, MAX_STILL_LOSS)
 
 
 def measured(options: argparse.Namespace, _: Path) -> Figures:
     """Identities in all scenes, printed as a table, then times."""
-    goals: list[Goal] = []
-    makers = [("simulated", simulated_cases, options.seeds), ("rendered", rendered_cases, options.rendered)]
-    for what, make_cases, seeds in makers:
-        if not seeds:
-            continue
-        cases = make_cases(range(options.first_seed, options.first_seed + seeds))
-        counts = {
-            "own": [counts_of(case.frames, own_ids(case.frames)) for case in cases],
-            "boxes": [counts_of(case.frames, own_ids(case.frames, with_camera=False)) for case in cases],
-        }
-        if options.oracle:
-            answers = oracle_ids(options.oracle, cases)
-            counts["oracle"] = [counts_of(case.frames, ids) for case, ids in zip(cases, answers, strict=True)]
-        print(f"{what}\n{identity_table(cases, counts)}\n")
-        goals += identity_goals(what, cases, counts)
-    rows = time_rows()
+    cases = simulated_cases(range(options.first_seed, options.first_seed + options.seeds))
+    counts = {
+        "own": [counts_of(case.frames, own_ids(case.frames)) for case in cases],
+        "boxes": [counts_of(case.frames, own_ids(case.frames, with_camera=False)) for case in cases],
+    }
+    if options.oracle:
+        answers = oracle_ids(options.oracle, cases)
+        counts["oracle"] = [counts_of(case.frames, ids) for case, ids in zip(cases, answers, strict=True)]
+    print(f"{identity_table(cases, counts)}\n")
+    rows, goals = time_rows(), [*identity_goals(cases, counts)]
     goals.append(Goal("50 objects [ms]", 0, rows[0].median, True, 1.0))
     goals += [Goal(f"camera motion, {each.name} [ms]", 0, each.median, True, 1.5) for each in rows[3:]]
     return rows, goals
@@ -102,7 +94,6 @@ PROGRAM = Program(
     {
         "--seeds": {"type": int, "default": 5, "help": "scenes of each kind"},
         "--first-seed": {"type": int, "default": 0, "help": _CHOSEN},
-        "--rendered": {"type": int, "default": 0, "help": "the same, in drawn images"},
         "--oracle": {"type": Path, "metavar": "PYTHON", "help": "interpreter that has `trackers`"},
     },
     is_judged=True,

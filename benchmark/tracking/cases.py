@@ -6,16 +6,14 @@ import itertools
 import json
 import subprocess
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from benchmark.tracking.figures import JudgedFrame, TrackCounts, track_counts
 from benchmark.tracking.film import Film
-from benchmark.tracking.recording import Detect, RecordedFrame, recorded, simulated
+from benchmark.tracking.recording import RecordedFrame, recorded
 from benchmark.tracking.scenes import SCENES, TrackScene
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -39,29 +37,11 @@ class Case:
 
 def simulated_cases(seeds: Iterable[int], scenes: Scenes = SCENES, *, with_film: bool = True) -> list[Case]:
     """Each of `scenes` at every rate, once for each of `seeds`, with simulated detections."""
-    return _cases(seeds, scenes, simulated, with_film=with_film)
-
-
-def rendered_cases(seeds: Iterable[int], scenes: Scenes = SCENES) -> list[Case]:
-    """Each of `scenes` at every rate, once for each of `seeds`, with detections of the embedded model."""
-    from benchmark.tracking.rendering import rendered, shapes_detector
-
-    with closing(shapes_detector()) as detector:
-        return _cases(seeds, scenes, partial(rendered, detector), with_film=True)
-
-
-def _cases(
-    seeds: Iterable[int],
-    scenes: Scenes,
-    detect: Callable[[np.random.Generator], Detect],
-    *,
-    with_film: bool,
-) -> list[Case]:
     cases = []
     for seed, rate_hz, (name, scene) in itertools.product(seeds, RATES_HZ, scenes.items()):
         rng = np.random.default_rng(seed)
         film = Film(np.random.default_rng((seed, 1))) if with_film else None
-        cases.append(Case(name, rate_hz, recorded(scene(rng), rate_hz, rng, detect(rng), film)))
+        cases.append(Case(name, rate_hz, recorded(scene(rng), rate_hz, rng, film)))
     return cases
 
 

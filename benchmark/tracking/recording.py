@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,16 +42,8 @@ class RecordedFrame:
     """What `CameraMotion` found, None without images."""
 
 
-Detect = Callable[[View, ColourImage | None], Detections]
-"""Finds the objects of a view, or of an image of it."""
-
-
 def recorded(
-    scene: TrackScene,
-    rate_hz: float,
-    rng: np.random.Generator,
-    detect: Detect,
-    film: Film | None = None,
+    scene: TrackScene, rate_hz: float, rng: np.random.Generator, film: Film | None = None
 ) -> list[RecordedFrame]:
     """The `scene` at about `rate_hz`, with jitter and dropped images.
 
@@ -63,11 +55,10 @@ def recorded(
         view = scene.view(time_s)
         truth_ids = visits.identities(view)
         there = view.visible >= MIN_VISIBLE
-        image = None
+        detections, camera = _detected(view, rng), None
         if film is not None:
             image = ColourImage(scene.image(view, film.background(scene.camera(time_s))), "rgb")
-        detections = detect(view, image)
-        camera = None if image is None else motion.since_last(image, detections.boxes_xyxy)
+            camera = motion.since_last(image, detections.boxes_xyxy)
         frames.append(
             RecordedFrame(
                 START_S + time_s,
@@ -80,29 +71,19 @@ def recorded(
     return frames
 
 
-def simulated(rng: np.random.Generator) -> Detect:
-    """A detector that misses a fifth, invents objects, and scores covered objects lower."""
-
-    def detect(view: View, _: object) -> Detections:
-        found = view.visible >= MIN_VISIBLE
-        visible = view.visible[found]
-        scores = 0.85 * visible + rng.normal(0, 0.08, len(visible))
-        class_ids = np.array([shape.class_id for shape in view.shapes], np.int64)[found]
-        noise = _BOX_NOISE * (2 - visible)
-        boxes = _shaken(view.boxes_xyxy[found], noise, rng)
-        false_boxes, false_scores, false_ids = _false_objects(rng)
-        detections = _after_nms(
-            np.concatenate((boxes, false_boxes)),
-            np.concatenate((scores, false_scores)),
-            np.concatenate((class_ids, false_ids)),
-        )
-        return partly_missed(detections, rng)
-
-    return detect
-
-
-def partly_missed(detections: Detections, rng: np.random.Generator) -> Detections:
-    """The `detections` without a random fifth."""
+def _detected(view: View, rng: np.random.Generator) -> Detections:
+    """What a detector finds that misses a fifth, invents objects, and scores covered objects lower."""
+    found = view.visible >= MIN_VISIBLE
+    visible = view.visible[found]
+    scores = 0.85 * visible + rng.normal(0, 0.08, len(visible))
+    class_ids = np.array([shape.class_id for shape in view.shapes], np.int64)[found]
+    boxes = _shaken(view.boxes_xyxy[found], _BOX_NOISE * (2 - visible), rng)
+    false_boxes, false_scores, false_ids = _false_objects(rng)
+    detections = _after_nms(
+        np.concatenate((boxes, false_boxes)),
+        np.concatenate((scores, false_scores)),
+        np.concatenate((class_ids, false_ids)),
+    )
     kept = rng.random(len(detections)) >= _MISSED
     return Detections(detections.boxes_xyxy[kept], detections.scores[kept], detections.class_ids[kept])
 

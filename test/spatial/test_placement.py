@@ -33,7 +33,6 @@ DIFFICULTIES = {
     "sloped background": Difficulty(),
     "30 % holes": Difficulty(hole_share=0.3),
     "half occluded": Difficulty(hole_share=0.3, is_half_occluded=True),
-    "on a floor": Difficulty(hole_share=0.3, stands_on_floor=True),
 }
 SCENES_PER_SHAPE = 16
 SOLID = tuple(shape for shape in SHAPES if shape not in THIN)

@@ -8,11 +8,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
+from support.colcon_workspace import SUPPORT_PATH
 from support.detector_process import environment
 from support.preparations import Preparations
 from support.worker import worker_domain
@@ -31,8 +31,7 @@ def many_detectors() -> Iterator[tuple[ChildProcess, int]]:
     """The process, and the domain of its own that it is in."""
     with worker_domain() as domain:
         command = [sys.executable, __file__]
-        path = {"PYTHONPATH": str(Path(__file__).parents[1])}
-        with ChildProcess("many detectors", command, environment(domain) | path) as process:
+        with ChildProcess("many detectors", command, environment(domain) | SUPPORT_PATH) as process:
             yield process, domain
 
 

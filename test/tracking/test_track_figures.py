@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,7 @@ from hypothesis import strategies as st
 
 from benchmark.tracking.cases import Case, counts_of, own_ids, simulated_cases
 from benchmark.tracking.figures import JudgedFrame, TrackCounts, track_counts
-from benchmark.tracking.film import Film
-from benchmark.tracking.recording import recorded
-from benchmark.tracking.rendering import rendered, shapes_detector
-from benchmark.tracking.scenes import STILL_SCENES, crossings
+from benchmark.tracking.scenes import STILL_SCENES
 
 Places = Mapping[Any, float]
 """Identity -> x of a box of 10 x 10 pixels."""
@@ -121,12 +117,3 @@ def test_identities_are_kept_at_any_rate(
     counts = sum((counts_of(case.frames, own_ids(case.frames)) for case in at_rate), TrackCounts())
     assert counts.idf1 >= min_idf1
     assert counts.switches <= max_switches
-
-
-def test_identities_of_drawn_shapes_are_kept() -> None:
-    rng = np.random.default_rng(0)
-    with closing(shapes_detector()) as detector:
-        frames = recorded(crossings(rng), 5.0, rng, rendered(detector, rng), Film(rng))
-    counts = counts_of(frames, own_ids(frames))
-    assert counts.idf1 >= 0.7
-    assert counts.switches <= 4
