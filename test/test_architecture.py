@@ -1,4 +1,4 @@
-"""Folders import downwards only, without circles; only ros/ knows ROS, one file of it rclpy's internals."""
+"""Folders import downwards only, without circles; only ros/ knows ROS."""
 
 from __future__ import annotations
 

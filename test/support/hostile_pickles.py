@@ -41,17 +41,9 @@ NO_CHECKPOINT = "expected a dict with the entry 'model'"
 
 FOREIGN = (
     ("os", "system", SHELL),
-    ("__builtin__", "eval", SHELL),
-    ("builtins", "exec", SHELL),
-    ("subprocess", "Popen", SHELL),
     (MARKER, "anything", b""),
-    ("importlib", "import_module", text(MARKER)),
-    ("_pickle", "loads", text("x")),
-    ("numpy", "load", text("/etc/passwd")),
     ("torch", "load", text("/etc/passwd")),
-    ("torch", "FloatTensor", number(1 << 40)),
     ("builtins", "bytearray", number(1 << 34)),
-    ("functools", "partial", name("os", "system")),
     ("yolov5_lifecycle.process.memory", "release_unused_memory", b""),
 )
 """Functions that a pickle calls, one of each kind, by module, name and argument."""
@@ -59,25 +51,14 @@ FOREIGN = (
 METHODS = {
     "another method": (DETECT, text("__subclasses__")),
     "a method of an object": (instance("models.common", "Conv", {}), text("__class__")),
-    "a method of another class": (CONV, text("forward")),
-    "a method of a text": (text("x"), text("forward_fuse")),
-    "a method or else": (DETECT, text("forward"), text("x")),
     "no method": (),
 }
 """Arguments of getattr."""
 
 VALUES: dict[str, tuple[bytes, str]] = {
-    "getattr of a foreign module": (
-        call(name("builtins", "getattr"), name("os", "system"), text("x")),
-        "'os.system'",
-    ),
     "a method that is called": (
         call(name("__builtin__", "getattr"), DETECT, text("forward")) + items() + asm.REDUCE,
         "calls 'method'",
-    ),
-    "something foreign beside what is known": (
-        EMPTY_LIST + name("torch.nn.parallel", "DataParallel") + APPEND + name("os", "system") + APPEND,
-        "do not trust",
     ),
     "a name that looks like a layer": (name("models.yolo os", "system"), "do not trust"),
     "a name with an escape": (name("models.y\\x6flo", "Model"), "do not trust"),
@@ -104,13 +85,9 @@ VALUES: dict[str, tuple[bytes, str]] = {
         stacked_name("models.yolo", "Model") + text("system") + asm.STACK_GLOBAL,
         "a name that is not text",
     ),
-    "data outside of the file": (b"\x97", "NEXT_BUFFER"),
-    "an object with named arguments": (name("models.yolo", "Model") + items() + b"}\x92", "NEWOBJ_EX"),
     "INST of Python 1": (b"(" + SHELL + b"ios\nsystem\n", "INST"),
-    "extension code": (b"\x82\x01", "EXT1"),
     "persistent text": (b"Pos.system\n", "PERSID"),
     "a text that is called": (text("os.system") + items(SHELL) + b"R", "calls something"),
-    "a class in the place of the checkpoint": (DETECT, NO_CHECKPOINT),
     "a function in the place of a class": (
         name("torch._utils", "_rebuild_tensor_v2") + items() + asm.NEWOBJ,
         "creates a 'torch._utils._rebuild_tensor_v2'",
@@ -121,8 +98,6 @@ VALUES: dict[str, tuple[bytes, str]] = {
         "after torch.compile and names 'torch._dynamo.eval_frame.OptimizedModule', a part of the compiler",
     ),
     "an array of 16 EiB": (asm.byte_array(b"abc", claimed=(1 << 64) - 1), "cut short"),
-    "bytes in the place of the checkpoint": (asm.short_bytes(b"model"), f"{NO_CHECKPOINT}, found a bytes"),
-    "bytes cut short": (b"B\xff\xff\xff\x7fabc", "cut short"),
     "a text that is not UTF-8": (b"X\x02\x00\x00\x00\xff\xff", "contains an invalid string"),
     "a text of 16 EiB": (b"\x8d" + b"\xff" * 8 + b"abc", "uses BINUNICODE8"),
     "a frame of 16 EiB": (asm.frame(mapping({}), claimed=(1 << 64) - 1), "cut short"),
@@ -134,7 +109,6 @@ VALUES: dict[str, tuple[bytes, str]] = {
         mapping({"model": text("x") + put(2**32 - 1)}),
         "expected a YOLOv5 model",
     ),
-    "an item without a value": (EMPTY_DICT + MARK + text("a") + b"u", "cannot be read"),
     "an item added to a model": (
         instance("models.yolo", "Model", {}) + MARK + number(1) + asm.ADDITEMS,
         "changes a models.yolo.Model",
@@ -180,7 +154,6 @@ TENSORS: dict[str, tuple[bytes, str]] = {
     "negative stride": (tensor((4,), (-1,)), "cannot be read"),
     "a size that no number of bytes has": (tensor((0, 1 << 61, 1 << 61), (1, 1, 1)), "has the shape"),
     "negative size": (tensor((-4,)), "cannot be read"),
-    "a size that is a text": (call(name("torch._utils", "_rebuild_tensor_v2"), text("x")), "cannot be read"),
     "a storage of 1 Ti numbers": (tensor(stored=storage(1 << 40)), "claims 4398046511104 bytes, but has 16"),
     "a storage of no numbers": (tensor(stored=storage(0)), "number 3 of 0"),
     "a storage of half a number": (
@@ -190,16 +163,11 @@ TENSORS: dict[str, tuple[bytes, str]] = {
     "an offset behind the end": (tensor((1,), offset=4), "number 4 of 4"),
     "an offset before the beginning": (tensor((1,), offset=-1), "a tensor has the size -1"),
     "more strides than sizes": (tensor((4,), (1, 1)), "has the strides [1, 1]"),
-    "a list in place of a storage": (tensor(stored=EMPTY_LIST), "cannot be read"),
     "a storage that is not there": (
         tensor(stored=storage(key="../../version")),
         "the storage '../../version' is missing",
     ),
     "bytes as weights": (tensor(stored=storage(16, kind="ByteStorage")), "holds torch.uint8"),
-    "complex weights": (
-        tensor(stored=storage(2, kind="ComplexFloatStorage")),
-        "'torch.ComplexFloatStorage'",
-    ),
 }
 """The only parameter of a model, beside a storage of 16 bytes."""
 
@@ -269,10 +237,9 @@ def _bombs() -> Iterator[Case]:
         archive(EMPTY_LIST + MARK + b"".join(name("models", f"{n:x}") for n in range(100_000)) + b"e"),
         "names more than 1000 classes",
     )
-    yield "a set of a long list, often", many(call(made_set, get(1)), 20_000), "calls '__builtin__.set'"
     yield (
-        "a dict of a long list, often",
-        many(call(name("collections", "OrderedDict"), get(1)), 20_000),
+        "a dict of a list",
+        archive(call(name("collections", "OrderedDict"), EMPTY_LIST)),
         "calls 'collections.OrderedDict'",
     )
     yield "a million lists", archive(EMPTY_LIST * 1_100_000), "more than 1000000 operations"
@@ -316,13 +283,6 @@ def laughing(value: Callable[[bytes], bytes]) -> bytes:
     levels += [MARK + get(level) * 50 + asm.TUPLE + put(level + 1) for level in range(12)]
     unused = EMPTY_LIST + b"".join(level + APPEND for level in levels)
     return archive(mapping({"unused": unused}) + value(get(12)))
-
-
-def many(item: bytes, count: int) -> bytes:
-    """A list of `count` times `item`, after a list of 10,000 texts of two letters, number 1 in the memo."""
-    texts = b"".join(text(f"{chr(1000 + index)}x") for index in range(10_000))
-    long_list = EMPTY_LIST + put(1) + MARK + texts + b"e"
-    return archive(EMPTY_LIST + long_list + APPEND + MARK + item * count + b"e")
 
 
 def nested_modules(depth: int) -> bytes:
