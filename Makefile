@@ -18,7 +18,6 @@ FAMILIES_FLAGS ?=
 MASKS_FLAGS ?=
 PRECISIONS_FLAGS ?=
 CONSOLE_FLAGS ?=
-CONSOLE_BENCH_FLAGS ?=
 RECORDINGS_FLAGS ?=
 SOAK_FLAGS ?=
 FUZZ_FLAGS ?=
@@ -174,7 +173,6 @@ bench: $(TESTS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
 	$(VENV)/bin/python -m benchmark.masks $(MASKS_FLAGS)
 	$(VENV)/bin/python -m benchmark.precisions $(PRECISIONS_FLAGS)
-	$(VENV)/bin/python -m benchmark.console $(CONSOLE_BENCH_FLAGS)
 	$(VENV)/bin/python -m benchmark.recordings $(RECORDINGS_FLAGS)
 
 bench-families: $(TESTS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import dataclasses
 import json
 from contextlib import ExitStack
@@ -18,13 +17,13 @@ from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
 from support.random_model import random_model
 
-from benchmark import collecting, console, masks, precisions, report
+from benchmark import collecting, masks, precisions, report
 from benchmark.bench import set_max_rate
 from benchmark.camera_fleet import LAYOUTS, Layout, active_fleet
+from benchmark.cameras import equal_shares, slow_beside_fast
 from benchmark.collected_errors import PLACES, SIZE_HW, USUAL, drive
 from benchmark.collecting import NOTHING_KEPT, OFF, ONE_A_SECOND
 from benchmark.contender import Task, measure
-from benchmark.fairness import equal_shares, slow_beside_fast
 from benchmark.report import Goal, Program, row
 from benchmark.rivals import RIVALS, call_of
 from benchmark.work import image_file
@@ -165,12 +164,3 @@ def test_a_fifth_of_the_places_of_a_drive_are_difficult_and_its_truth_is_in_the_
 
 
 # Console, masks, recordings
-
-
-@pytest.mark.usefixtures("_environment")
-def test_two_viewers_see_images() -> None:
-    with console.robot(15.0) as process:
-        found = asyncio.run(console.viewing(process, 2, 2.0))
-    assert found.ages_ms
-    assert min(found.ages_ms) > 0
-    assert found.cpu_s >= 0

@@ -11,10 +11,9 @@ from torch import Tensor
 
 from tools.shapes.evaluate import tally
 from tools.shapes.images import MASK_CELL_PX, Batches
-from tools.shapes.labelled_image import LabelledImage
 from tools.shapes.learning import as_input
-from tools.shapes.loss import detection_loss
-from tools.shapes.mask_loss import mask_loss
+from tools.shapes.loss import detection_loss, mask_loss
+from tools.shapes.random_shapes import LabelledImage
 from tools.shapes.train import ARCHITECTURE
 from tools.shapes.train_masks import MaskBranch, joined, segmenting
 from yolov5_lifecycle.checkpoints.locate import load_weights

@@ -10,7 +10,7 @@ import numpy as np
 
 from tools.shapes.evaluate import UNSEEN_SEED
 from tools.shapes.images import spoilt_scene
-from tools.shapes.labelled_image import LabelledImage
+from tools.shapes.random_shapes import LabelledImage
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from tools.shapes.labelled_image import LabelledImage, still
-from tools.shapes.random_shapes import random_shapes
+from tools.shapes.random_shapes import LabelledImage, random_shapes, still
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE
 from yolov5_lifecycle.sources.scene import Truth, label_image, truth_of
 

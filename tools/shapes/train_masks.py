@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from tools.shapes.images import Batch
 from tools.shapes.learning import as_input, learned
-from tools.shapes.mask_loss import mask_loss
+from tools.shapes.loss import mask_loss
 from tools.shapes.train import model_of
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
