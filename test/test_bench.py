@@ -21,7 +21,6 @@ from benchmark import collecting, masks, precisions, report
 from benchmark.bench import set_max_rate
 from benchmark.camera_fleet import LAYOUTS, Layout, active_fleet
 from benchmark.cameras import equal_shares, slow_beside_fast
-from benchmark.collected_errors import PLACES, SIZE_HW, USUAL, drive
 from benchmark.collecting import NOTHING_KEPT, OFF, ONE_A_SECOND
 from benchmark.contender import Task, measure
 from benchmark.report import Goal, Program, row
@@ -147,20 +146,6 @@ def test_a_detector_collects_as_the_figures_say(way: str, kept: int, tmp_path: P
     assert measured.cpu_s > 0
     found = len([*kept_images(tmp_path / "collected")]) if way != OFF else 0
     assert found == kept if way != ONE_A_SECOND else found >= kept
-
-
-def test_a_fifth_of_the_places_of_a_drive_are_difficult_and_its_truth_is_in_the_image() -> None:
-    frames = list(drive(3))
-    assert [frame.number for frame in frames] == list(range(len(frames)))
-    kinds = {frame.place: frame.weakness for frame in frames}
-    assert len(kinds) == PLACES
-    assert sum(kind != USUAL for kind in kinds.values()) == PLACES // 5
-    assert {*kinds.values()} == {USUAL, "blur", "night", "small", "new look"}
-    for frame in frames:
-        assert frame.pixels.shape == (*SIZE_HW, 3)
-        assert (frame.truth.boxes_xyxy >= 0).all()
-        assert (frame.truth.boxes_xyxy[:, 2:] <= SIZE_HW[::-1]).all()
-    assert {len(frame.truth.class_ids) > 0 for frame in frames} == {True, False}
 
 
 # Console, masks, recordings

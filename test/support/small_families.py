@@ -116,11 +116,6 @@ COSTLY: Mapping[str, tuple[Architecture, str]] = {
         _longer(*[_UP] * 6, _EIGHTH, _EIGHTH),
         "layer 12 (Upsample) would have 8,388,608 elements for an image of 128x128, at most 4,194,304",
     ),
-    "a hundred times twice the size": (_longer(*[_UP] * 100), "layer 12 (Upsample) would have 8,388,608"),
-    "channels that become squares": (
-        _longer(*[_JOIN, _layer("Expand", 4)] * 10),
-        "layer 12 (Concat) would have 33,554,432 elements",
-    ),
     "transposed convolutions": (
         _longer(*[_layer("ConvTranspose2d", 64, 8, 8)] * 3),
         "layer 9 (ConvTranspose2d) would have 33,554,432 elements",
