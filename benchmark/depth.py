@@ -1,4 +1,4 @@
-"""Errors of places in space in rendered depth scenes, compared with simpler statistics, and the cost.
+"""Errors of places in space in rendered depth scenes, and the cost.
 
 PYTHONPATH=test python -m benchmark.depth [--scenes 40] [--seed 0]
 """
@@ -8,18 +8,16 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, random_depth_scene
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
 from benchmark.report import Figures, Program, Row, row, timed
-from yolov5_lifecycle.spatial.box_samples import inside, sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
 
@@ -39,26 +37,6 @@ COSTS = ((1, (480, 640)), (20, (480, 640)), (20, (720, 1280)), (1000, (480, 640)
 MIN_SIZE_M = 0.02
 """Errors of smaller sizes are in parts of this."""
 
-Estimate = Callable[[NDArray[np.float32]], float]
-"""Depth in metres from the measurements in a box."""
-
-
-def nearest_mode_m(metres: NDArray[np.float32]) -> float:
-    """The nearest depth that a tenth of the measurements share within 2.5 %."""
-    logarithms = np.sort(np.log(metres))
-    ends = np.searchsorted(logarithms, logarithms + 0.025)
-    enough = ends - np.arange(len(metres)) >= 0.1 * len(metres)
-    first = int(enough.argmax())
-    return float(np.exp(np.median(logarithms[first : ends[first]])))
-
-
-RIVALS: dict[str, Estimate] = {
-    "mean": lambda metres: float(metres.mean()),
-    "median": lambda metres: float(np.median(metres)),
-    "fifth nearest of 100": lambda metres: float(np.quantile(metres, 0.05)),
-    "nearest mode": nearest_mode_m,
-}
-
 
 def placed(scene: DepthScene) -> Placement:
     """Where this package finds the object."""
@@ -66,24 +44,10 @@ def placed(scene: DepthScene) -> Placement:
     return found
 
 
-def depths_m(scene: DepthScene) -> dict[str, float]:
-    """The depth of the object in the middle of its surface, by every method; NaN where one finds none."""
-    samples = inside(sampled(DepthImage(scene.depth_m, 1.0), scene.box_xyxy[None]).metres)
-    measured = samples[~np.isnan(samples)]
-    rivals = {name: estimate(measured) if measured.size else np.nan for name, estimate in RIVALS.items()}
-    found = placed(scene)
-    return {"this": found.centre_xyz_m[2] if isinstance(found, Box3D) else np.nan, **rivals}
-
-
-def errors(scenes: Sequence[DepthScene]) -> dict[str, list[float]]:
-    """For every method the errors of the depth in percent; 100 for an object that is not found."""
-    found: dict[str, list[float]] = {}
-    for scene in scenes:
-        truth_m = float(scene.centre_xyz_m[2])
-        for name, depth_m in depths_m(scene).items():
-            error = 100 * abs(depth_m - truth_m) / truth_m
-            found.setdefault(name, []).append(error if np.isfinite(error) else 100.0)
-    return found
+def depth_error(scene: DepthScene) -> float:
+    """Of the middle of the object's surface, in percent; 100 for an object that is not found."""
+    found, truth_m = placed(scene), float(scene.centre_xyz_m[2])
+    return 100 * abs(found.centre_xyz_m[2] - truth_m) / truth_m if isinstance(found, Box3D) else 100.0
 
 
 def floor_errors(scene: DepthScene) -> tuple[float, float]:
@@ -97,14 +61,13 @@ def floor_errors(scene: DepthScene) -> tuple[float, float]:
 
 
 def error_rows(count: int, seed: int) -> Iterator[Row]:
-    """Of the depth, in percent, for each method."""
+    """Of the depth, in percent."""
     rng = np.random.default_rng(seed)
     for kind in ("solid", "thin"):
         shapes = [shape for shape in SHAPES if (shape in THIN) == (kind == "thin")]
         for name, difficulty in SCENES.items():
             scenes = [random_depth_scene(rng, shape, difficulty) for shape in shapes for _ in range(count)]
-            for method, found in errors(scenes).items():
-                yield row(f"{kind}, {name}", method, 0, found, unit="%")
+            yield row(kind, name, 0, [depth_error(scene) for scene in scenes], unit="%")
 
 
 def floor_rows(count: int, seed: int) -> Iterator[Row]:
