@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmark.report import Figures, Goal, Program, row
+from tools.shapes.evaluate import matched
 from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.collecting.candidate import Candidate, CollectRules, Origin
 from yolov5_lifecycle.collecting.collected_files import kept_images
@@ -39,7 +40,7 @@ USUAL = "usual"
 _SHARE_OF_WEAK = 0.2
 _SHARE_OF_EMPTY = 0.25
 """Of the usual places: a model that finds nothing there is right."""
-_SAME_IOU, _DUPLICATE_IOU = 0.5, 0.97
+_DUPLICATE_IOU = 0.97
 _VISIBLE = 0.5
 """An object of which less is seen while the camera turns is not expected to be found."""
 
@@ -162,14 +163,7 @@ _WEAKNESSES: dict[str, Callable[[np.random.Generator, int], View]] = {
 
 def errors(found: Detections, truth: Truth) -> int:
     """Objects that were missed, found where there is none, or found as another class."""
-    iou = iou_matrix(truth.boxes_xyxy, found.boxes_xyxy)
-    iou[truth.class_ids[:, None] != found.class_ids[None, :]] = 0
-    matched = 0
-    while iou.size and iou.max() >= _SAME_IOU:
-        one, other = np.unravel_index(iou.argmax(), iou.shape)
-        iou[one, :] = iou[:, other] = 0
-        matched += 1
-    return len(truth.class_ids) + len(found) - 2 * matched
+    return len(truth.class_ids) + len(found) - 2 * len(matched(found, truth))
 
 
 class _AtOnce(Collector):

@@ -9,9 +9,7 @@ import argparse
 import dataclasses
 import statistics
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from benchmark.models import untrained_network
-from benchmark.report import Figures, Goal, Program, in_turns, quick, row, size_hw, timed
+from benchmark.report import Figures, Goal, Program, measured_ms, quick, row, size_hw
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.detection.draw import draw_masks
 from yolov5_lifecycle.detection.letterbox import Letterbox
@@ -38,7 +36,6 @@ SEGMENT_N = dataclasses.replace(
 )
 """The architecture of yolov5n-seg."""
 _MAX_SHARE_OF_FORWARD = 0.25
-_WARM_UPS = 5
 
 
 def calls(weights: Path, size_hw: tuple[int, int]) -> Mapping[str, Callable[[], object]]:
@@ -77,16 +74,6 @@ def random_boxes(rng: np.random.Generator, count: int, size_hw: tuple[int, int])
     corners = rng.uniform(0, 1 - sides)
     boxes = np.concatenate((corners, corners + sides), axis=1) * np.array(size_hw[::-1] * 2)
     return np.asarray(boxes, np.float32)
-
-
-def measured_ms(calls: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
-    """Milliseconds of processor time, of all threads, that each call takes in `turns` turns.
-
-    Processor time depends less than elapsed time on what else the machine does.
-    """
-    timings = {name: partial(timed, call, time.process_time) for name, call in calls.items()}
-    taken_s = in_turns(timings, turns, warm_ups=_WARM_UPS)
-    return {name: [1e3 * time_s for time_s in times_s] for name, times_s in taken_s.items()}
 
 
 def goal(taken_ms: Mapping[str, Sequence[float]]) -> Goal:

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmark.masks import measured_ms
 from benchmark.models import untrained_weights
-from benchmark.report import Figures, Goal, Program, quick, row, size_hw
+from benchmark.report import Figures, Goal, Program, measured_ms, quick, row, size_hw
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse

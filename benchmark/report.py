@@ -12,12 +12,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 FOLDER = Path(__file__).parents[1] / "build" / "bench"
 STAGE = "stage"
+_WARM_UPS = 5
 _PACKAGES = ("torch", "onnxruntime", "openvino", "opencv-python-headless", "numpy")
 Name = TypeVar("Name")
 Measured = TypeVar("Measured")
@@ -118,6 +120,16 @@ def timed(call: Callable[[], object], clock: Callable[[], float] = time.perf_cou
     begun_s = clock()
     call()
     return clock() - begun_s
+
+
+def measured_ms(calls: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
+    """Milliseconds of processor time, of all threads, that each call takes in `turns` turns.
+
+    Processor time depends less than elapsed time on what else the machine does.
+    """
+    timings = {name: partial(timed, call, time.process_time) for name, call in calls.items()}
+    taken_s = in_turns(timings, turns, warm_ups=_WARM_UPS)
+    return {name: [1e3 * time_s for time_s in times_s] for name, times_s in taken_s.items()}
 
 
 def median_ratio(above: Iterable[float], below: Iterable[float]) -> float:

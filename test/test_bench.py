@@ -94,7 +94,7 @@ def rows_of(answer: Any) -> NDArray[np.float32]:
 
 @pytest.mark.skipif("openvino" not in installed_runtimes(), reason="no openvino: make install")
 def test_every_precision_of_the_processor_is_measured() -> None:
-    taken_ms = masks.measured_ms(precisions.calls(random_model(), (64, 96)), turns=2)
+    taken_ms = report.measured_ms(precisions.calls(random_model(), (64, 96)), turns=2)
     expected = {f"fp32 in {name}" for name in installed_runtimes() if name != "torch"} | {precisions.INT8}
     assert taken_ms.keys() == expected | ({"bf16 in openvino"} if has_bf16(abilities()) else set())
     assert all(len(times_ms) == 2 for times_ms in taken_ms.values())

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmark.report import Figures, Goal, Program, Row, row
+from benchmark.report import Figures, Goal, Program, Row, row, timed
 from benchmark.tracking.camera_path import CAMERA_PATHS, SIZE_HW
 from benchmark.tracking.cases import SETTINGS, Case, counts_of, oracle_ids, own_ids, simulated_cases
 from benchmark.tracking.figures import TrackCounts
@@ -106,21 +106,17 @@ def update_times_ms(count: int, frames: int, rng: np.random.Generator) -> list[f
         places = centres + speeds * number / 30 + rng.normal(0, 1, (count, 2))
         boxes = np.concatenate((places - half_sides, places + half_sides), axis=1).astype(np.float32)
         found = Detections(boxes, scores, np.zeros(count, np.int64))
-        begun_s = time.perf_counter()
-        tracker.update(found, stamp_s=number / 30, settings=SETTINGS)
-        times_ms.append(1000 * (time.perf_counter() - begun_s))
+        update = partial(tracker.update, found, stamp_s=number / 30, settings=SETTINGS)
+        times_ms.append(1000 * timed(update))
     return times_ms
 
 
 def camera_times_ms(size_hw: tuple[int, int], count: int, rng: np.random.Generator) -> list[float]:
     """Milliseconds for the motion of a camera that sways, in each of `count` images of `size_hw`."""
     motion, boxes_xyxy = CameraMotion(), np.array(((0.2, 0.2, 0.4, 0.6),)) * np.tile(size_hw[::-1], 2)
-    times_ms = []
-    for image in _swaying(size_hw, count, rng):
-        begun_s = time.perf_counter()
-        motion.since_last(image, boxes_xyxy)
-        times_ms.append(1000 * (time.perf_counter() - begun_s))
-    return times_ms
+    return [
+        1000 * timed(partial(motion.since_last, image, boxes_xyxy)) for image in _swaying(size_hw, count, rng)
+    ]
 
 
 def _swaying(size_hw: tuple[int, int], count: int, rng: np.random.Generator) -> Iterator[ColourImage]:
