@@ -1,21 +1,52 @@
-"""The commands open no connections but those of ROS, and write only the files that docs/security.md names."""
+"""The commands open no connections but those of ROS, and write only the files that docs/security.md names.
+
+As a program, which the test runs alone in its namespaces and with the rights of root there, as
+`unshare --map-root-user --net --mount` gives them to anybody: runs each command for a while in a network
+where every packet is recorded. The arguments are an empty folder and an image. Prints as JSON, by command,
+the packets that were not ROS's own and the files that were written.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import re
 import shutil
+import signal
+import socket
+import struct
 import subprocess
 import sys
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from support.colcon_workspace import REPOSITORY, SUPPORT, SUPPORT_PATH
-from support.detector_process import environment
-from support.watched_processes import DOMAIN, FOLDERS
+from support.colcon_workspace import REPOSITORY, SUPPORT_PATH
+from support.detector_process import NODE, PARAMETERS, as_arguments, environment
+from vision_msgs.msg import Detection2DArray
 
-PROGRAM = SUPPORT / "watched_processes.py"
+from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
+from yolov5_lifecycle.ros.observer import Observer
+
+DOMAIN = 1  # nobody else is in this network
+ROS_PORTS = range(7400 + 250 * DOMAIN, 7400 + 250 * (DOMAIN + 1))
+PATIENCE_S = 120.0
+ALL_PROTOCOLS = 3
+UDP, TCP, IGMP, ICMP6 = 17, 6, 2, 58
+FIRST_MARK = 40_000
+"""A port that nobody uses here; see `Packets`."""
+FOLDERS = {"HOME": "home", "XDG_CACHE_HOME": "cache", "TMPDIR": "temporary", "ROS_LOG_DIR": "log"}
+MODEL = REPOSITORY / "weights" / "shapes.safetensors"
+CONTROL = """
+import os, pathlib, socket
+for variable in ("HOME", "XDG_CACHE_HOME", "TMPDIR", "ROS_LOG_DIR"):
+    pathlib.Path(os.environ[variable], "control").touch()
+socket.create_connection(("192.0.2.1", 80), 0.5)
+"""
+"""Writes into each of `FOLDERS` and connects, so that a recorder that misses either is noticed."""
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 FONTS = r"cache/matplotlib/fontlist-v[\d.]+json"
 COMPILED = r"cache/yolov5_lifecycle/compiled/[0-9a-f]{64}"
@@ -32,6 +63,166 @@ EXPECTED = {
 """By command, the packets and the files; the control shows that either would have been recorded."""
 
 
+class Packets:
+    """Records what leaves this network's processes, except what the kernel and ROS send.
+
+    A packet of its own, to another port each time, marks the end of what was sent until then: the thread that
+    records may be late.
+    """
+
+    def __init__(self) -> None:
+        self._recorded = threading.Condition()
+        self._marks: set[str] = set()
+        self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(ALL_PROTOCOLS))
+        self._seen: list[str] = []
+        threading.Thread(target=self._record, daemon=True).start()
+
+    def taken(self) -> list[str]:
+        """What was recorded since the last call, each destination once."""
+        with self._recorded:
+            mark = self._mark()
+            assert self._recorded.wait_for(lambda: mark in self._seen, PATIENCE_S), "nothing is recorded"
+            seen, self._seen = self._seen, []
+        return sorted(set(seen) - self._marks)
+
+    def _mark(self) -> str:
+        port = FIRST_MARK + len(self._marks)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(b"", ("127.0.0.1", port))
+        mark = f"UDP to 127.0.0.1:{port}"
+        self._marks.add(mark)
+        return mark
+
+    def _record(self) -> None:
+        while True:
+            data, address = self._socket.recvfrom(65535)
+            told = _destination(data, address[1])
+            if told:
+                with self._recorded:
+                    self._seen.append(told)
+                    self._recorded.notify_all()
+
+
+def _destination(data: bytes, ethernet_type: int) -> str:
+    """Where a packet goes, "" for one of ROS or of the kernel."""
+    if ethernet_type == 0x0800:
+        protocol, start, host = data[9], 4 * (data[0] & 15), socket.inet_ntop(socket.AF_INET, data[16:20])
+    elif ethernet_type == 0x86DD:
+        protocol, start, host = data[6], 40, socket.inet_ntop(socket.AF_INET6, data[24:40])
+    else:
+        return ""
+    if protocol not in (UDP, TCP):
+        return "" if protocol in (IGMP, ICMP6, 0, 1) else f"protocol {protocol} to {host}"
+    (port,) = struct.unpack_from("!H", data, start + 2)
+    if protocol == UDP and port in ROS_PORTS:
+        return ""
+    if protocol == UDP and port == 53:
+        question, _, _ = data[start + 8 + 12 :].partition(b"\0")  # a label has its length before it
+        return "look-up of " + re.sub(r"[\0-\x1f]", ".", question.decode(errors="replace"))[1:]
+    source, _ = struct.unpack_from("!HH", data, start)
+    return "" if source == 53 else f"{'UDP' if protocol == UDP else 'TCP'} to {host}:{port}"
+
+
+def prepare_network(folder: Path) -> None:
+    """A loopback, a way to everywhere that ends nowhere, and a resolver that is this machine and silent."""
+    resolver = folder / "resolv.conf"
+    resolver.write_text("nameserver 127.0.0.1\noptions timeout:1 attempts:1\n")
+    for command in (
+        "ip link set lo up",
+        "ip link add nowhere type veth peer name end",
+        "ip link set nowhere arp off",
+        "ip link set end up",
+        "ip link set nowhere up",
+        "ip address add 198.51.100.1/24 dev nowhere",
+        "ip route add default dev nowhere",
+        f"mount --bind {resolver} /etc/resolv.conf",
+        "mount -t tmpfs none /dev/shm",
+    ):
+        subprocess.run(command.split(), check=True)
+
+
+def run_nodes(variables: Mapping[str, str]) -> None:
+    """Camera and detector until images have been detected with ONNX Runtime."""
+    camera = [entry_point("camera"), "--ros-args", "-r", f"image_raw:={NODE}/image_raw"]
+    parameters = PARAMETERS | {"runtime": "onnxruntime", "autostart": True}
+    detector = [entry_point("detector"), "--ros-args", *as_arguments(parameters)]
+    detections: list[Detection2DArray] = []
+    with (
+        ChildProcess("camera", camera, variables) as camera_process,
+        ChildProcess("detector", detector, variables) as process,
+        closing(Observer("client", domain=DOMAIN, check=process.check_running)) as observer,
+    ):
+        observer.create_subscription(Detection2DArray, f"{NODE}/detections", detections.append, 10)
+        observer.wait_for(lambda: len(detections) > 5, "detections", timeout_s=PATIENCE_S)
+        codes = [each.stop(signal.SIGTERM, timeout_s=PATIENCE_S) for each in (camera_process, process)]
+        assert codes == [0, 0], camera_process.output + process.output
+
+
+def run_command(*words: str, code: int = 0) -> Callable[[Mapping[str, str]], None]:
+    """Run a command to its end, which must have this `code`."""
+
+    def run(variables: Mapping[str, str]) -> None:
+        ended = subprocess.run(words, env=dict(variables), capture_output=True, text=True, timeout=PATIENCE_S)
+        assert ended.returncode == code, ended.stderr
+
+    return run
+
+
+def labelled(folder: Path, image: Path) -> Path:
+    """A new data set of the one `image`."""
+    folder.mkdir()
+    (folder / "image.png").write_bytes(image.read_bytes())
+    (folder / "image.txt").write_text("0 0.5 0.5 0.2 0.2\n")
+    (folder / "data.yaml").write_text("val: .\nnames: [circle]\n")
+    return folder
+
+
+def written(folder: Path) -> list[str]:
+    """The files below `folder`."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir())
+
+
+def main() -> None:
+    folder = Path(sys.argv[1])
+    image, converted = folder / "image.png", folder / "out" / "converted.safetensors"
+    image.write_bytes(Path(sys.argv[2]).read_bytes())
+    prepare_network(folder)
+    packets = Packets()
+    model = f"weights={MODEL}"
+    trials: dict[str, Callable[[Mapping[str, str]], None]] = {
+        "nodes": run_nodes,
+        "detect_bag": run_command(
+            entry_point("detect_bag"), str(image), "--set", model, "--set", "runtime=onnxruntime"
+        ),
+        "openvino": run_command(
+            entry_point("detect_bag"), str(image), "--set", model, "--set", "runtime=openvino"
+        ),
+        "evaluate": run_command(
+            *(entry_point("evaluate"), str(MODEL), str(labelled(folder / "data", image))),
+            *("--output", str(converted.parent / "evaluation"), "--set", "runtime=onnxruntime"),
+        ),
+        "convert": run_command(entry_point("convert"), str(MODEL), str(converted)),
+        "fetch_weights": run_command(
+            *(entry_point("fetch_weights"), "n", "--dir", str(converted.parent)),
+            *("--url", "http://weights.test/{size}.pt"),
+            code=1,
+        ),
+        "control": run_command(sys.executable, "-c", CONTROL, code=1),
+    }
+    converted.parent.mkdir()
+    told = {}
+    for name, run in trials.items():
+        home = folder / name
+        variables = environment(DOMAIN) | {variable: str(home / part) for variable, part in FOLDERS.items()}
+        variables.pop("ORT_DISABLE_TELEMETRY", None)  # else it would come from the test
+        for part in FOLDERS.values():
+            (home / part).mkdir(parents=True)
+        os.chdir(home)
+        run(variables)
+        told[name] = {"packets": packets.taken(), "files": written(home)}
+    print(json.dumps(told))  # noqa: T201
+
+
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_a_command_sends_and_writes_what_the_page_on_security_says(tmp_path: Path) -> None:
@@ -46,7 +237,7 @@ def test_a_command_sends_and_writes_what_the_page_on_security_says(tmp_path: Pat
         pytest.skip(f"this machine allows no network namespaces: {refused.stderr.strip()}")
     image = REPOSITORY / "docs" / "images" / "annotated.png"
     run = subprocess.run(
-        [*ALONE, sys.executable, "-W", "ignore", str(PROGRAM), str(tmp_path), str(image)],
+        [*ALONE, sys.executable, "-W", "ignore", __file__, str(tmp_path), str(image)],
         env=environment(DOMAIN) | SUPPORT_PATH,
         capture_output=True,
         text=True,
@@ -61,3 +252,7 @@ def test_a_command_sends_and_writes_what_the_page_on_security_says(tmp_path: Pat
         files = told[name]["files"]
         assert len(files) == len(patterns), (name, files)
         assert all(map(re.fullmatch, patterns, files)), (name, files)
+
+
+if __name__ == "__main__":
+    main()
