@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import shutil
-from collections.abc import Iterator
-from functools import partial
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin
 from support.recorded_scene import record, text
 
-from fuzz.inputs import folder, taken, written
 from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, Boxes, DataError, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import parsed_labels, read_description, read_yolo_folder
@@ -21,9 +23,35 @@ from yolov5_lifecycle.offline.recording import RecordingError, open_recording
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.settings.value_rules import MAX_CLASS_NAME
 
+Taken = TypeVar("Taken")
 _SIZE_HW = (100, 200)
 _CLASSES = 3
 _MESSAGES = 100
+
+
+def taken(take: Callable[[], Taken], refusal: type[Exception]) -> Taken | None:
+    """The result of `take`, None if it raises the `refusal`, which must be one line; others propagate."""
+    try:
+        return take()
+    except refusal as error:
+        assert str(error).isprintable(), repr(error)
+        return None
+
+
+@cache
+def folder() -> Path:
+    """Removed at the end."""
+    made = Path(tempfile.mkdtemp()).resolve()
+    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    return made
+
+
+def written(name: str, data: bytes) -> Path:
+    """The file of this name in `folder()`, with `data`."""
+    path = folder() / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(data)
+    return path
 
 
 def check_labels(data: bytes) -> None:

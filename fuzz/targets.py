@@ -17,7 +17,7 @@ from support.random_model import random_model
 from support.small_families import COSTLY, EVERY_SMALL
 
 from fuzz import files
-from fuzz.inputs import taken
+from fuzz.files import taken
 from yolov5_lifecycle.checkpoints.onnx_file import export_cost, read_onnx
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors

@@ -7,12 +7,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from soak.balance import BalanceWatch, exact_balance
 from soak.cycles import complete_cycles
 from soak.endings import ENDINGS, MOMENTS, clean_endings, clean_restarts
 from soak.finding import Finding, found, table, write_report
 from soak.mixed_life import mixed_life
-from soak.subject import Subject, subject
+from soak.subject import BalanceWatch, Subject, exact_balance, subject
 
 _REPORT = Path("build") / "soak" / "report.json"
 _CYCLES, _WARM_UP = 2000, 50

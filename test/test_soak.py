@@ -7,12 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from soak.balance import exact_balance
 from soak.cycles import complete_cycles
 from soak.endings import clean_endings, clean_restarts
 from soak.finding import Finding, table
 from soak.mixed_life import mixed_life
-from soak.subject import subject
+from soak.subject import exact_balance, subject
 
 pytestmark = pytest.mark.long
 
