@@ -173,7 +173,7 @@ bench: $(TESTS)
 	$(VENV)/bin/python -m benchmark.tracking $(TRACKING_FLAGS)
 	$(VENV)/bin/python -m benchmark.masks $(MASKS_FLAGS)
 	$(VENV)/bin/python -m benchmark.precisions $(PRECISIONS_FLAGS)
-	$(VENV)/bin/python -m benchmark.recordings $(RECORDINGS_FLAGS)
+	PYTHONPATH=test $(VENV)/bin/python -m benchmark.recordings $(RECORDINGS_FLAGS)
 
 bench-families: $(TESTS)
 	PYTHONPATH=test $(VENV)/bin/python -m benchmark.families $(FAMILIES_FLAGS)

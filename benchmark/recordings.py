@@ -1,6 +1,6 @@
 """Time for many recordings: workers of `detect_bag` compared with single runs.
 
-python -m benchmark.recordings [--weights FILE] [--recordings N] [--images N] [--rounds N] [--quick]
+PYTHONPATH=test python -m benchmark.recordings [--weights FILE] [--recordings N] [--images N] [--rounds N]
 """
 
 from __future__ import annotations
@@ -13,51 +13,19 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
 
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
+from support.recorded_scene import raw, record
 
 from benchmark.models import untrained_weights
 from benchmark.report import Figures, Goal, Program, in_turns, median_ratio, quick, row, timed
-from yolov5_lifecycle.offline.recording import TYPES
-from yolov5_lifecycle.sources.scene import Scene
 
 SINGLE, ONE, ONE_CORE, TWO = "single runs", "one worker", "one worker, one core", "two workers"
-SIZE_HW = (480, 640)
 _FRAMES = 20
 _MAX_OVERHEAD = 1.05
 _MIN_GAIN = 1.6
-_IMAGE = "sensor_msgs/msg/Image"
 
 Run = Callable[[], object]
-
-
-def record_scene(path: Path, images: int) -> None:
-    """A recording of the scene at 30 Hz in the new folder `path`."""
-    scene = Scene(8, SIZE_HW)
-    frames = [scene.frame(number)[0] for number in range(min(images, _FRAMES))]
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/camera/image_raw", _IMAGE, typestore=TYPES)
-        for number in range(images):
-            stamp_ns = 1_700_000_000_000_000_000 + number * 33_333_333
-            message = _message(frames[number % len(frames)], stamp_ns)
-            writer.write(connection, stamp_ns, TYPES.serialize_cdr(message, _IMAGE))
-
-
-def _message(pixels: Any, stamp_ns: int) -> Any:
-    seconds, nanoseconds = divmod(stamp_ns, 10**9)
-    stamp = TYPES.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    header = TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera")
-    height, width = pixels.shape[:2]
-    return TYPES.types[_IMAGE](
-        header=header,
-        height=height,
-        width=width,
-        encoding="rgb8",
-        is_bigendian=0,
-        step=3 * width,
-        data=pixels.reshape(-1),
-    )
 
 
 def calls(drives: Path, weights: Path, folder: Path) -> Mapping[str, Run]:
@@ -103,8 +71,10 @@ def goals(taken_s: Mapping[str, Sequence[float]]) -> list[Goal]:
 def measured(options: argparse.Namespace, folder: Path) -> Figures:
     """All ways in each round."""
     (folder / "drives").mkdir()
+    frames = [raw(number) for number in range(_FRAMES)]
+    images = [frames[number % _FRAMES] for number in range(30 if options.quick else options.images)]
     for number in range(options.recordings):
-        record_scene(folder / "drives" / f"drive_{number}", 30 if options.quick else options.images)
+        record(folder / "drives" / f"drive_{number}", images, storage=StoragePlugin.MCAP)
     weights = options.weights or untrained_weights("n", folder)
     runs = calls(folder / "drives", weights.absolute(), folder)
     rounds = 1 if options.quick else options.rounds
