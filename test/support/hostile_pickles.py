@@ -51,6 +51,8 @@ FOREIGN = (
 METHODS = {
     "another method": (DETECT, text("__subclasses__")),
     "a method of an object": (instance("models.common", "Conv", {}), text("__class__")),
+    "a method of another class": (CONV, text("forward")),
+    "a method of a text": (text("x"), text("forward_fuse")),
     "no method": (),
 }
 """Arguments of getattr."""
@@ -237,6 +239,8 @@ def _bombs() -> Iterator[Case]:
         archive(EMPTY_LIST + MARK + b"".join(name("models", f"{n:x}") for n in range(100_000)) + b"e"),
         "names more than 1000 classes",
     )
+    items_65 = EMPTY_LIST + MARK + b"".join(map(number, range(65))) + b"e"
+    yield "a set of a list of 65 items", archive(call(made_set, items_65)), "calls '__builtin__.set'"
     yield (
         "a dict of a list",
         archive(call(name("collections", "OrderedDict"), EMPTY_LIST)),
