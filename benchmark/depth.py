@@ -25,6 +25,8 @@ SCENES = {
     "sloped background": Difficulty(),
     "30 % holes": Difficulty(hole_share=0.3),
     "half occluded": Difficulty(hole_share=0.3, is_half_occluded=True),
+    "on a floor": Difficulty(hole_share=0.3, stands_on_floor=True),
+    "in a row": Difficulty(hole_share=0.3, has_neighbours=True),
 }
 FLOOR_SCENES = {
     "ideal depth, exact boxes": {"is_ideal": True},

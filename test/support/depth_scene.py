@@ -34,6 +34,10 @@ class Difficulty:
     """Of all pixels, half of them alone, half in patches."""
     is_half_occluded: bool = False
     """A nearer board covers half of the object and goes on beyond its box."""
+    has_neighbours: bool = False
+    """The same surface again on its left and on its right, at the same depth."""
+    stands_on_floor: bool = False
+    """The background is a floor that begins at the object's lower edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,11 @@ def random_depth_scene(
     while np.isfinite(surface).sum() < 40:
         surface = _object_surface(rng, shape, background)
     seen = np.isfinite(surface)
+    if difficulty.stands_on_floor:
+        background = _floor_below(surface)
     depth_m = np.minimum(background, surface)
+    if difficulty.has_neighbours:
+        depth_m = np.minimum(depth_m, _beside(rng, surface))
     if difficulty.is_half_occluded:
         occluder = _occluder(rng, surface)
         depth_m = np.minimum(depth_m, occluder)
@@ -162,6 +170,27 @@ def _occluder(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray
     x1, y1, x2, y2 = np.maximum(np.rint(edges), 0).astype(int).tolist()
     covered[y1:y2, x1:x2] = depth_m
     return covered
+
+
+def _floor_below(surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth (H, W) of a floor on which the object stands, and of a wall behind it."""
+    bottom = tight_box(np.isfinite(surface))[3]
+    depth_m = float(np.min(surface[bottom - 1]))
+    _, y = rays()
+    height_m = max(y[bottom - 1, 0], 0.1) * depth_m
+    floor = np.minimum(height_m / np.maximum(y, 1e-3), 3 * depth_m)
+    return np.asarray(np.broadcast_to(floor, surface.shape), np.float64)
+
+
+def _beside(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth (H, W) of the same surface moved to either side, infinite elsewhere."""
+    left, _, right, _ = tight_box(np.isfinite(surface))
+    beside = np.full_like(surface, np.inf)
+    shift = round((right - left) * rng.uniform(1.05, 1.3)) + 1
+    if shift < surface.shape[1]:
+        beside[:, shift:] = surface[:, :-shift]
+        beside[:, :-shift] = np.minimum(beside[:, :-shift], surface[:, shift:])
+    return beside
 
 
 def bounds(surface: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
