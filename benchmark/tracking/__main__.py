@@ -60,11 +60,11 @@ def identity_goals(
     """Of the IDF1 with and without images, compared with the oracle and with each other."""
     idf1 = {name: {g: c.idf1 for g, c in _groups(cases, each).items()} for name, each in counts.items()}
     oracle = idf1.pop("oracle", {})
-    for name, own in idf1.items() if oracle else ():
-        gains = [own[group] - oracle[group] for group in own]
+    if oracle:
+        gains = [own - oracle[group] for group, own in idf1["own"].items()]
         mean = sum(gains) / len(gains)
-        yield Goal(f"IDF1 less the oracle's, {what}, {name}, mean", 0, mean, False, MIN_GAIN)
-        yield Goal(f"IDF1 less the oracle's, {what}, {name}, worst scene", 0, min(gains), False, -MAX_LOSS)
+        yield Goal(f"IDF1 less the oracle's, {what}, mean", 0, mean, False, MIN_GAIN)
+        yield Goal(f"IDF1 less the oracle's, {what}, worst scene", 0, min(gains), False, -MAX_LOSS)
     losses = [idf1["boxes"][group] - own for group, own in idf1["own"].items() if group[0] in STILL_SCENES]
     if losses:
         mean = sum(losses) / len(losses)
