@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY, DepthPairing, Unpaired
 
@@ -84,12 +82,3 @@ def test_time_that_jumps_back_drops_what_was_before(stamp_ms: int) -> None:
     depths = pairing(33, 66, 99, stamp_ms)
     assert depths.pair(stamp_ms * MS) == f"at {stamp_ms}"
     assert isinstance(depths.pair(66 * MS), Unpaired)
-
-
-@given(stamps=st.lists(st.integers(0, 2**40)), colour=st.integers(0, 2**40), slop_ms=st.integers(0, 10**6))
-def test_a_pair_is_never_further_apart_than_the_slop(stamps: list[int], colour: int, slop_ms: int) -> None:
-    depths = DepthPairing[int](slop_ms / 1000)
-    for stamp in stamps:
-        depths.add(stamp, stamp)
-    found = depths.pair(colour)
-    assert isinstance(found, Unpaired) or abs(found - colour) <= slop_ms * MS
