@@ -36,7 +36,7 @@ _SURFACE_END = 0.06
 """Share of the excess of the surface's peak: bins with less are a gap in the surface, or beyond it."""
 _MIN_KEPT = 0.01
 """The same as a share of the samples in a box."""
-_GAP = 6
+_GAP = 4
 """Bins without samples that a surface may reach across, as from a seat to the back."""
 _MIN_VALID = 0.05
 """Share of the samples in a box that must be measurements."""
