@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.spatial.box_samples import (
+    GRID,
     IS_AROUND,
     BoxSamples,
     around,
@@ -34,10 +35,16 @@ _MIN_OF_PEAK = 0.2
 """Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
 _SURFACE_END = 0.06
 """Share of the excess of the surface's peak: bins with less are a gap in the surface, or beyond it."""
+_FULL_SURFACE_END = 0.2
+"""The same where the background could not be told from the object."""
 _MIN_KEPT = 0.01
 """The same as a share of the samples in a box."""
-_GAP = 4
-"""Bins without samples that a surface may reach across, as from a seat to the back."""
+_GAP_BEFORE, _GAP_BEHIND = 1, 4
+"""Bins without samples that a surface may reach across, as from a seat to the back, or from leg to leg."""
+_MIN_PART, _GAP_TO_PART = 0.06, 20
+"""Excess of bins that may be that much farther behind, as the other legs of a table seen edge-on."""
+_BARRIER = -0.02
+"""Excess of bins that a surface never reaches across: there is more of them around the box."""
 _MIN_VALID = 0.05
 """Share of the samples in a box that must be measurements."""
 _MIN_VALID_ALONE = 0.5
@@ -48,8 +55,12 @@ _SAME = 0.02
 """Of the depth: pixels next to each other that differ by less are on the same surface."""
 _MIN_BESIDE = 2
 """Of the four pixels next to one, the measured ones without which it counts as on a surface."""
+_MIN_DENSE = 0.3
+"""Share of measurements in a box from which on those without a neighbour are on no surface."""
+_OUTLIERS = 0.002
+"""Share of a surface's samples left out at each end."""
 _NO_BIN = -9
-"""Of a sample that does not count; before all others."""
+"""Of a sample that does not count; more than two bins before all others."""
 
 Array = NDArray[np.float32]
 Bins = NDArray[np.int32]
@@ -65,10 +76,11 @@ def surfaces_m(depth: DepthImage, boxes_xyxy: NDArray[np.float32]) -> Array:
     samples = sampled(depth, boxes_xyxy)
     bins = _bins(samples.metres)
     foreground = np.where(is_background(samples), np.int32(_NO_BIN), bins)
-    is_surface, stands_out = _surface(_supported(foreground, samples, depth), bins)
-    if not stands_out.all():  # as far away as the background, or it fills the image
-        is_surface[~stands_out], _ = _surface(bins[~stands_out], bins[~stands_out])
-    return np.where(is_surface, inside(samples.metres), np.float32(np.nan))
+    is_surface, is_found = _foreground_surface(_supported(foreground, samples, depth), bins)
+    if not is_found.all():
+        is_surface[~is_found] = _any_surface(bins[~is_found])
+    metres = np.where(is_surface, inside(samples.metres), np.float32(np.nan))
+    return _without_outliers(metres)
 
 
 def _bins(metres: Array) -> Bins:
@@ -81,7 +93,7 @@ def _bins(metres: Array) -> Bins:
 def _supported(foreground: Bins, samples: BoxSamples, depth: DepthImage) -> Bins:
     """The bins (n, GRID, GRID) of the foreground, without those in the box of pixels between two surfaces.
 
-    Such a pixel's depth is that of no pixel next to it.
+    Such a pixel's depth is that of no pixel next to it, and hardly that of a sample next to it.
     """
     places = np.nonzero(~IS_AROUND & (foreground >= 0))
     for beside, least in ((_BESIDE[:, :1], 0), (_BESIDE, _MIN_BESIDE)):  # most are like the pixel below
@@ -89,7 +101,19 @@ def _supported(foreground: Bins, samples: BoxSamples, depth: DepthImage) -> Bins
         places = tuple(indices[is_alone] for indices in places)
     supported = foreground.copy()
     supported[places] = _NO_BIN
+    is_lonely = ~IS_AROUND & ~_has_neighbour(supported)
+    is_lonely &= (~np.isnan(inside(samples.metres))).mean(axis=(1, 2))[:, None, None] >= _MIN_DENSE
+    supported[is_lonely] = _NO_BIN
     return supported
+
+
+def _has_neighbour(bins: Bins) -> Flags:
+    """Whether one of the eight samples next to one is at most two bins away (n, GRID, GRID)."""
+    padded = np.pad(bins, ((0, 0), (1, 1), (1, 1)), constant_values=2 * _NO_BIN)
+    has = np.zeros(bins.shape, np.bool_)
+    for down, right in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
+        has |= abs(bins - padded[:, down : down + GRID, right : right + GRID]) <= 2
+    return has
 
 
 def _is_alone(
@@ -113,21 +137,42 @@ def _is_alone(
     return np.asarray(is_told & ~is_same.any(axis=0))
 
 
-def _surface(counted: Bins, bins: Bins) -> tuple[Flags, Flags]:
-    """Which samples (n, SIDE, SIDE) are on the object's surface, and whether that stands out (n,).
+def _foreground_surface(foreground: Bins, bins: Bins) -> tuple[Flags, Flags]:
+    """Which samples (n, SIDE, SIDE) are on the surface before the background, and whether there is one (n,).
 
-    `bins` (n, GRID, GRID) are those of all samples, `counted` of those that may be on the object. Where
-    nothing stands out from what is around the box, the depths in the box alone decide. No sample is on a
-    surface if too few are measurements.
+    `bins` (n, GRID, GRID) are those of all samples, `foreground` of those that are not background.
     """
-    shares, shares_around, first = _shares(counted, bins)
+    shares, shares_around, first = _shares(foreground, bins)
     excess = shares - _RING_WEIGHT * shares_around
-    stands_out = excess.max(axis=1) >= _MIN_EXCESS
-    excess[~stands_out] = shares[~stands_out]
-    is_measured = (inside(bins) >= 0).mean(axis=(1, 2)) >= np.where(stands_out, _MIN_VALID, _MIN_VALID_ALONE)
-    start, last = (end[:, None, None] + first for end in _surface_ends(excess))
-    is_between = (inside(counted) >= np.maximum(start, 0)) & (inside(counted) <= last)
-    return is_between & is_measured[:, None, None], stands_out & is_measured
+    is_found = (excess.max(axis=1) >= _MIN_EXCESS) & (_valid_share(bins) >= _MIN_VALID)
+    ends = _surface_ends(excess, _SURFACE_END, _GAP_BEFORE, _GAP_BEHIND)
+    return _is_between(inside(foreground), first, ends), is_found
+
+
+def _any_surface(bins: Bins) -> Flags:
+    """Which samples (n, SIDE, SIDE) are on the surface of an object that is as far away as its background.
+
+    It may also fill the image. None if too few samples are measurements.
+    """
+    shares, shares_around, first = _shares(bins, bins)
+    excess = shares - _RING_WEIGHT * shares_around
+    is_alone = excess.max(axis=1) < _MIN_EXCESS
+    excess[is_alone] = shares[is_alone]
+    ends = _surface_ends(excess, _FULL_SURFACE_END, 0, 0)
+    is_found = _valid_share(bins) >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
+    return _is_between(inside(bins), first, ends) & is_found[:, None, None]
+
+
+def _valid_share(bins: Bins) -> NDArray[np.float64]:
+    """Share (n,) of the samples in the box that are measurements."""
+    share: NDArray[np.float64] = (inside(bins) >= 0).mean(axis=(1, 2))
+    return share
+
+
+def _is_between(bins: Bins, first: int, ends: tuple[NDArray[np.intp], NDArray[np.intp]]) -> Flags:
+    """Whether samples (n, SIDE, SIDE) lie in the bins from one end to the other, which count from `first`."""
+    start, last = (end[:, None, None] + first for end in ends)
+    return np.asarray((bins >= np.maximum(start, 0)) & (bins <= last))
 
 
 def _shares(counted: Bins, bins: Bins) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
@@ -163,20 +208,44 @@ def _counts(bins: Bins, first: int, count: int) -> NDArray[np.float64]:
     return blurred
 
 
-def _surface_ends(excess: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _surface_ends(
+    excess: NDArray[np.float64], end_share: float, gap_before: int, gap_behind: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last bin (n,) of the surface around the nearest peak of each box's excess (n, count)."""
     is_peak = excess >= _MIN_OF_PEAK * excess.max(axis=1, keepdims=True)
     is_peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
     peak = is_peak.argmax(axis=1)  # the one before the first such bin is lower, or it would be the first
-    of_peak = np.take_along_axis(excess, peak[:, None], axis=1)
-    is_kept = excess > np.maximum(_SURFACE_END * of_peak, _MIN_KEPT)
+    is_kept = excess > np.maximum(end_share * np.take_along_axis(excess, peak[:, None], axis=1), _MIN_KEPT)
+    is_barrier, is_part = excess < _BARRIER, (excess >= _MIN_PART) & (gap_behind > 0)
     last = excess.shape[1] - 1
-    return last - _last_kept(is_kept[:, ::-1], last - peak), _last_kept(is_kept, peak)
+    return (
+        last
+        - _last_kept(is_kept[:, ::-1], is_barrier[:, ::-1], np.zeros_like(is_part), last - peak, gap_before),
+        _last_kept(is_kept, is_barrier, is_part, peak, gap_behind),
+    )
 
 
-def _last_kept(is_kept: Flags, peak: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The last kept bin (n,) after the peak, with at most _GAP others between two."""
+def _last_kept(
+    is_kept: Flags, is_barrier: Flags, is_part: Flags, peak: NDArray[np.intp], gap: int
+) -> NDArray[np.intp]:
+    """The last kept bin (n,) after the peak, with at most `gap` others between two, and no barrier.
+
+    To a bin that is a part of its own, there may be _GAP_TO_PART others.
+    """
     bins, peaks = np.arange(is_kept.shape[1]), peak[:, None]
     reached = np.maximum.accumulate(np.where(is_kept & (bins > peaks), bins, peaks), axis=1)
-    stop = np.where(bins - reached > _GAP, bins, bins[-1]).min(axis=1)
+    next_part = np.where(is_part, bins, 2 * len(bins) + _GAP_TO_PART)
+    next_part = np.minimum.accumulate(next_part[:, ::-1], axis=1)[:, ::-1]
+    is_gap = (bins - reached > gap) & (next_part - reached > _GAP_TO_PART)
+    is_stop = (bins > peaks) & (is_gap | is_barrier)
+    stop = np.where(is_stop, bins, bins[-1]).min(axis=1)
     return np.take_along_axis(reached, stop[:, None], axis=1)[:, 0]
+
+
+def _without_outliers(metres: Array) -> Array:
+    """The same samples (n, SIDE, SIDE), the nearest and farthest few as far away as those next to them."""
+    ordered = np.sort(metres.reshape(len(metres), -1), axis=1)  # NaN comes last
+    last = (~np.isnan(ordered)).sum(axis=1) - 1
+    places = np.rint(last[:, None] * np.array((_OUTLIERS, 1 - _OUTLIERS))).astype(np.intp)
+    near, far = np.take_along_axis(ordered, places.clip(0), axis=1).T[:, :, None, None]
+    return metres.clip(near, far)
