@@ -69,11 +69,11 @@ def identity_goals(cases: Sequence[Case], counts: Mapping[str, Sequence[TrackCou
     """Of the IDF1 with and without images, compared with the oracle and with each other."""
     idf1 = {name: {g: c.idf1 for g, c in _groups(cases, each).items()} for name, each in counts.items()}
     oracle = idf1.pop("oracle", {})
-    for name, own in idf1.items() if oracle else ():
-        gains = [own[group] - oracle[group] for group in own]
+    if oracle:
+        gains = [own - oracle[group] for group, own in idf1["own"].items()]
         mean = sum(gains) / len(gains)
-        yield Goal(f"IDF1 less the oracle's, {name}, mean", 0, mean, False, MIN_GAIN)
-        yield Goal(f"IDF1 less the oracle's, {name}, worst scene", 0, min(gains), False, -MAX_LOSS)
+        yield Goal("IDF1 less the oracle's, mean", 0, mean, False, MIN_GAIN)
+        yield Goal("IDF1 less the oracle's, worst scene", 0, min(gains), False, -MAX_LOSS)
     losses = [idf1["boxes"][group] - own for group, own in idf1["own"].items() if group[0] in STILL_SCENES]
     if losses:
         mean = sum(losses) / len(losses)

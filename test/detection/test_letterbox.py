@@ -99,21 +99,3 @@ def test_undo_is_the_inverse_of_the_way_pixels_go(
     assert undone.dtype == np.float32
     # float32 places 640 to 3e-5 network pixels.
     np.testing.assert_allclose(undone, source, atol=1e-4 / min(scale_x, scale_y) + 1e-3)
-
-
-@settings(deadline=None)
-@given(
-    source_hw=sizes_hw,
-    corners=st.lists(st.tuples(*[st.floats(-1e4, 1e4, width=32)] * 4), max_size=5),
-)
-def test_undone_boxes_stay_inside_the_image(
-    source_hw: tuple[int, int], corners: list[tuple[float, ...]]
-) -> None:
-    letterbox = Letterbox.fit(source_hw, image_size=640, stride=32)
-    network = np.array(corners, np.float32).reshape(-1, 4)
-    before = network.copy()
-    undone = letterbox.undo(network)
-    assert undone.shape == network.shape
-    assert (undone >= 0).all()
-    assert (undone <= np.array([*source_hw[::-1]] * 2)).all()
-    np.testing.assert_array_equal(network, before)

@@ -140,10 +140,3 @@ def test_the_border_belongs_to_the_region_wherever_it_is() -> None:
         assert region.contains(on_line).all()
         outwards = np.array([end[1] - begin[1], begin[0] - end[0]])
         assert not region.contains(on_line[1:-1] + 1e-4 * outwards / np.linalg.norm(outwards)).any()
-
-
-def test_each_of_thousands_of_points_is_in_a_region_by_itself() -> None:
-    region = Region.parse("0.1,0.3 0.7,0.1 0.9,0.8 0.3,0.7")
-    tried = np.random.default_rng(0).random((2000, 2))
-    one_by_one = [bool(region.contains(tried[row : row + 1])[0]) for row in range(len(tried))]
-    np.testing.assert_array_equal(region.contains(tried), one_by_one)

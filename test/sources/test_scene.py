@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tools.shapes.random_shapes import random_scene
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, SMALLEST_SIDE_PX, Scene, Shape, label_image
 from yolov5_lifecycle.sources.scene_depth import DepthFrame, SceneDepth
-from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics, intrinsics_of
+from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
 from yolov5_lifecycle.spatial.placement import Box3D, place
 
 
@@ -142,7 +142,8 @@ class OneBehindTheOther(Scene):
 
 def intrinsics(frame: DepthFrame) -> Intrinsics:
     camera = frame.camera_info
-    return intrinsics_of(camera.camera_matrix.data, camera.projection_matrix.data, camera.size_hw)
+    p = camera.projection_matrix.data
+    return Intrinsics(p[0], p[5], p[2], p[6], camera.size_hw)
 
 
 @pytest.mark.parametrize("size_hw", [(480, 640), (320, 200), (64, 64)], ids=str)

@@ -191,19 +191,6 @@ def test_a_stamp_that_is_no_time_is_refused_and_changes_nothing(following: Camer
     assert following.sees(one(100)) == ("1",)
 
 
-def test_a_lost_track_moves_with_the_others(camera: Camera) -> None:
-    places = [(100, 90), (260, 300), (420, 120), (560, 330), (60, 340)]
-
-    def at(number: int, count: int = 5) -> Detections:
-        shift = 25 * max(number - 5, 0)  # half of the width of an object in each image
-        return found(*((x + shift, y, 0.9 - 0.1 * row, CLASS) for row, (x, y) in enumerate(places[:count])))
-
-    ids = [camera.sees(at(number)) for number in range(6)][-1]
-    for number in range(6, 10):
-        camera.sees(at(number, 4))
-    assert camera.sees(at(10)) == ids
-
-
 def test_a_known_motion_of_the_camera_moves_the_tracks(camera: Camera) -> None:
     """By more than an object is wide, which boxes alone cannot tell from other objects."""
     shift = np.array(((1.0, 0, 150), (0, 1, 0)))

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from benchmark.tracking.cases import Case, counts_of, own_ids, simulated_cases
 from benchmark.tracking.figures import JudgedFrame, TrackCounts, track_counts
@@ -47,7 +44,7 @@ TWO = {1: 0.0, 2: 100.0}
         pytest.param([(TWO, {"a": 0.0, "b": 100.0})] * 4, 1.0, 0, id="perfect"),
         pytest.param([(ONE, {})] * 4, 0.0, 0, id="all missed"),
         pytest.param([({}, {"a": 0.0})] * 4, 0.0, 0, id="all false"),
-        pytest.param([(ONE, {"a": 50.0})] * 4, 0.0, 0, id="elsewhere"),
+        pytest.param([(ONE, {"a": 5.0})] * 4, 0.0, 0, id="a third in common"),
         # Each of the two halves is identified with half of the frames.
         pytest.param([(ONE, {"a": 0.0})] * 2 + [(ONE, {"b": 0.0})] * 2, 0.5, 1, id="another id"),
         pytest.param(
@@ -66,31 +63,6 @@ def test_the_figures_are_those_computed_by_hand(
     found = counts(*frames)
     assert found.idf1 == pytest.approx(idf1)
     assert found.switches == switches
-
-
-def test_idf1_asks_for_an_overlap_of_half() -> None:
-    assert counts(*[(ONE, {"a": 5.0})] * 3).idf1 == 0  # 5 of 15 pixels in common
-    assert counts(*[(ONE, {"a": 10 / 3})] * 3).idf1 == 1
-
-
-names = st.permutations([0, 1, 2]).flatmap(lambda order: st.integers(0, 3).map(lambda count: order[:count]))
-recordings = st.lists(st.tuples(names, names), max_size=6)
-
-
-@settings(deadline=None, max_examples=40)
-@given(recording=recordings)
-def test_idf1_is_that_of_the_best_of_all_assignments(recording: list[tuple[list[int], list[int]]]) -> None:
-    frames = [(_in_a_row(truths), _in_a_row(tracks)) for truths, tracks in recording]
-    best = max(
-        sum(place == tracks.get(order[truth]) for truths, tracks in frames for truth, place in truths.items())
-        for order in itertools.permutations(range(3))
-    )
-    found = counts(*frames)
-    assert found.identified == best
-
-
-def _in_a_row(names: list[int]) -> Places:
-    return {name: 20.0 * place for place, name in enumerate(names)}
 
 
 pytestmark = pytest.mark.long

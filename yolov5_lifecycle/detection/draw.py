@@ -47,7 +47,7 @@ def annotate(
     boxes; `label_image` is their `Detections.label_image()` where that has been computed already. The regions
     of `box_filter` are drawn faintly below them.
 
-    Line width and font size scale with the image; a label that does not fit is truncated. Non-ASCII
+    Line width and font size scale with the image; a label wider than the image is cut off. Non-ASCII
     characters lose their accents or become question marks. Higher scores are drawn over lower ones; only the
     MAX_DRAWN highest have boxes and labels.
     """
@@ -69,7 +69,7 @@ def annotate(
         cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
     for (x1, y1, _, _), class_id, detail in rows:
         colour = class_colour(class_id, image.order)
-        label = pen.label(shown[class_id], detail, canvas.shape[1])
+        label = f"{shown[class_id]} {detail}"
         _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
     return canvas
 
@@ -143,7 +143,8 @@ def text_colour(background: Colour, order: Order) -> Colour:
 
 def printable(text: str) -> str:
     """The beginning of `text`, as much as a label may show, in printable ASCII, as in the Hershey fonts."""
-    text = text[: _MAX_NAME_CHARACTERS + 1]
+    if len(text) > _MAX_NAME_CHARACTERS:
+        text = text[:_MAX_NAME_CHARACTERS] + ".."
     plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
     return "".join(letter if " " <= letter <= "~" else "?" for letter in plain)
 
@@ -168,15 +169,6 @@ class _Pen:
         (width, above), below = cv2.getTextSize(text, _FONT, self.font_scale, self.text_thickness)
         return width, above, below
 
-    def label(self, name: str, detail: str, max_width: int) -> str:
-        """Name and detail, the name truncated to fit `max_width`; empty when nothing fits."""
-        whole = [name] if len(name) <= _MAX_NAME_CHARACTERS else []
-        cut = [name[:length] + ".." for length in range(min(len(name), _MAX_NAME_CHARACTERS) - 1, 0, -1)]
-        labels = (f"{short} {detail}" for short in [*whole, *cut])
-        return next(
-            (text for text in labels if self.text_size(text)[0] + 2 * self.margin_px <= max_width), ""
-        )
-
 
 def _draw_label(
     canvas: NDArray[np.uint8], text: str, corner_xy: tuple[int, int], pen: _Pen, colour: Colour, ink: Colour
@@ -185,9 +177,9 @@ def _draw_label(
     height, width, _ = canvas.shape
     text_width, above, below = pen.text_size(text)
     label_width, label_height = text_width + 2 * pen.margin_px, above + below + 2 * pen.margin_px
-    if not text or label_height > height:
+    if label_height > height:
         return
-    left, bottom = min(corner_xy[0], width - label_width), corner_xy[1]
+    left, bottom = max(min(corner_xy[0], width - label_width), 0), corner_xy[1]
     if bottom < label_height:
         bottom = min(bottom + label_height, height)
     top = bottom - label_height

@@ -24,15 +24,11 @@ _CHANNELS = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "GRAY", "rgba8": "RGBA", "bg
 
 
 class GreyImage(ColourImage):
-    """An image of grey pixels (H, W), which are converted to RGB when `pixels` are asked for.
-
-    Raises ImageError on construction unless the sides are in [1, 16384].
-    """
+    """An image of grey pixels (H, W), which are converted to RGB when `pixels` are asked for."""
 
     order: Order = "rgb"
 
     def __init__(self, grey: NDArray[np.uint8]) -> None:
-        check_size(*grey.shape)
         object.__setattr__(self, "_grey", grey)
         self._grey: NDArray[np.uint8]
 

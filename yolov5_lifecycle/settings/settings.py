@@ -149,7 +149,7 @@ class Settings(BaseModel):
     track_camera_motion: Annotated[Literal["auto", "off"], Change.LIVE, Scope.CAMERA] = Field(
         "auto",
         description="auto: the tracker finds in the images how the camera moved, and moves its tracks along. "
-        "off: it uses the boxes alone.",
+        "off: the camera counts as still.",
     )
     lazy: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -121,24 +121,14 @@ class Intrinsics:
             )
 
 
-def intrinsics_of(k: Sequence[float], p: Sequence[float], size_hw: tuple[int, int]) -> Intrinsics:
-    """The intrinsics in the matrices of sensor_msgs/CameraInfo, row by row: `k` (3, 3) and `p` (3, 4).
-
-    `p` counts where it is filled in: depth images are rectified, and `p` is the camera of the rectified
-    image. Otherwise `k`. Raises ImageError for matrices of another size, and as `Intrinsics`.
-    """
-    if len(k) != 9 or len(p) != 12:
-        raise ImageError(
-            f"Expected a camera_info with K of 9 and P of 12 values, found {len(k)} and {len(p)}."
-        )
-    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
-    return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)
-
-
 def intrinsics_of_message(camera_info: Any) -> Intrinsics:
     """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
 
-    Raises ImageError as `intrinsics_of`, and for a frame_id longer than MAX_FRAME_ID.
+    P counts where it is filled in: depth images are rectified, and P is the camera of the rectified image.
+    Otherwise K. Raises ImageError as `Intrinsics`, and for a frame_id longer than MAX_FRAME_ID.
     """
     check_frame_id(camera_info)
-    return intrinsics_of(camera_info.k, camera_info.p, (camera_info.height, camera_info.width))
+    k, p = camera_info.k, camera_info.p
+    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
+    size_hw = camera_info.height, camera_info.width
+    return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)

@@ -46,11 +46,9 @@ Placement = Box3D | Unplaced
 
 
 def unusable(
-    image_size_hw: tuple[int, int], depth: DepthImage | None, intrinsics: Intrinsics | None
+    image_size_hw: tuple[int, int], depth: DepthImage, intrinsics: Intrinsics | None
 ) -> Unplaced | None:
     """Why no box of an image can be placed, None if boxes can be."""
-    if depth is None:
-        return Unplaced.NO_DEPTH_IMAGE
     if intrinsics is None:
         return Unplaced.NO_CAMERA_INFO
     return None if image_size_hw == depth.size_hw == intrinsics.size_hw else Unplaced.OTHER_SIZE
@@ -59,18 +57,17 @@ def unusable(
 def place(
     boxes_xyxy: NDArray[np.float32],
     image_size_hw: tuple[int, int],
-    depth: DepthImage | None,
+    depth: DepthImage,
     intrinsics: Intrinsics | None,
 ) -> tuple[Placement, ...]:
     """Where the objects in the boxes (n, 4) are, one entry per box.
 
     `boxes_xyxy` are finite corners in pixels of the colour image of `image_size_hw`, to which the depth
-    image is aligned; (0, 0) is the outer corner of its first pixel. `depth` and `intrinsics` are None while
-    there are none. docs/depth.md describes how the distance is found.
+    image is aligned; (0, 0) is the outer corner of its first pixel. `intrinsics` are None while there
+    are none. docs/depth.md describes how the distance is found.
     """
     if (reason := unusable(image_size_hw, depth, intrinsics)) is not None:
         return (reason,) * len(boxes_xyxy)
-    assert depth is not None
     assert intrinsics is not None
     placements: list[Placement] = []
     for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, TypeVar
 
@@ -21,14 +20,6 @@ class Unpaired(Enum):
     PASSED = "the depth images around the colour image's stamp were lost or are no longer kept"
 
 
-@dataclass(frozen=True, eq=False)
-class Stamped(Generic[Item]):
-    """A depth image, or the data to create one from, with its stamp in nanoseconds."""
-
-    stamp_ns: int
-    item: Item
-
-
 class DepthPairing(Generic[Item]):
     """The newest depth images, of which one is chosen for each colour image; nothing waits.
 
@@ -39,7 +30,8 @@ class DepthPairing(Generic[Item]):
     def __init__(self, slop_s: float) -> None:
         """`slop_s` is the largest difference of two stamps of a pair."""
         self._slop_ns = round(slop_s * 1e9)
-        self._kept: tuple[Stamped[Item], ...] = ()
+        self._kept: tuple[tuple[int, Item], ...] = ()
+        """Stamps in nanoseconds, rising, and what is kept for each."""
         self._expected_ns: int | None = None
 
     def add(self, stamp_ns: int, item: Item) -> None:
@@ -49,9 +41,9 @@ class DepthPairing(Generic[Item]):
         is played again: those before are dropped.
         """
         kept = self._kept
-        if kept and stamp_ns <= kept[-1].stamp_ns:
+        if kept and stamp_ns <= kept[-1][0]:
             kept = ()
-        kept = (*kept, Stamped(stamp_ns, item))
+        kept = (*kept, (stamp_ns, item))
         older, newest = kept[:-CAPACITY], kept[-CAPACITY:]
         if (expected_ns := self._expected_ns) is not None:
             nearest = _nearest(expected_ns, kept)
@@ -62,7 +54,7 @@ class DepthPairing(Generic[Item]):
         """Keep the depth image nearest to a colour image from now on, until the next one is expected."""
         self._expected_ns = stamp_ns
 
-    def pair(self, stamp_ns: int) -> Stamped[Item] | Unpaired:
+    def pair(self, stamp_ns: int) -> Item | Unpaired:
         """The depth image nearest in time to a colour image, the newer of two that are equally near.
 
         Otherwise the reason why none is within the slop.
@@ -70,15 +62,15 @@ class DepthPairing(Generic[Item]):
         kept = self._kept
         if (nearest := _nearest(stamp_ns, kept)) is None:
             return Unpaired.MISSING
-        if abs(nearest.stamp_ns - stamp_ns) <= self._slop_ns:
-            return nearest
-        return Unpaired.LATE if kept[-1].stamp_ns < stamp_ns else Unpaired.PASSED
+        if abs(nearest[0] - stamp_ns) <= self._slop_ns:
+            return nearest[1]
+        return Unpaired.LATE if kept[-1][0] < stamp_ns else Unpaired.PASSED
 
     def clear(self) -> None:
         """Drop what is kept, as when the subscription is recreated."""
         self._kept = ()
 
 
-def _nearest(stamp_ns: int, depths: Sequence[Stamped[Item]]) -> Stamped[Item] | None:
+def _nearest(stamp_ns: int, depths: Sequence[tuple[int, Item]]) -> tuple[int, Item] | None:
     """The one whose stamp is nearest, the newer of two that are equally near; None without any."""
-    return min(depths, key=lambda depth: (abs(depth.stamp_ns - stamp_ns), -depth.stamp_ns), default=None)
+    return min(depths, key=lambda depth: (abs(depth[0] - stamp_ns), -depth[0]), default=None)

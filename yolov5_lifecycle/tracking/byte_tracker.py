@@ -22,11 +22,8 @@ from yolov5_lifecycle.tracking.assignment import Indices, best_pairs, check_solv
 from yolov5_lifecycle.tracking.camera_motion import CameraMotion
 from yolov5_lifecycle.tracking.motion import (
     UNCONFIRMED,
-    Array,
-    CommonMotion,
     Similarity,
     Tracks,
-    xyxy_to_cxcywh,
 )
 
 MAX_DETECTIONS = 1000
@@ -37,10 +34,6 @@ STEP_WITHOUT_TIME_S = 1 / 30
 """Assumed time between two images with equal stamps: some cameras set none."""
 MAX_LATE_S = 1.0
 """An image that is older than the newest one by no more than this is late; by more, time has begun again."""
-_LEADING = 100
-"""Detections and tracks that say what all have in common; bounds the time that this takes."""
-_RECENT_S = 0.5
-"""Before the last image, in which these tracks were seen."""
 
 
 @dataclass
@@ -67,7 +60,6 @@ class ByteTracker:
         self._ids = ids
         self._counts = counts or StampCounts()
         self._tracks = Tracks.none()
-        self._common = CommonMotion()
         self._stamp_s = -math.inf
 
     def __len__(self) -> int:
@@ -82,7 +74,6 @@ class ByteTracker:
     def reset(self) -> None:
         """Forget all tracks. Idempotent."""
         self._tracks = Tracks.none()
-        self._common = CommonMotion()
         self._stamp_s = -math.inf
 
     def is_late(self, stamp_s: float) -> bool:
@@ -120,7 +111,6 @@ class ByteTracker:
         tracks = self._tracks.later(step_s, settings.track_timeout)
         if camera is not None:
             tracks = tracks.seen_from(camera)
-        tracks = self._with_common(tracks, detections, step_s, settings)
         rows, columns = _associated(tracks, detections, settings)
         numbers = np.full(len(detections), UNCONFIRMED, np.int64)
         numbers[columns] = [number or next(self._ids) for number in tracks.numbers[rows].tolist()]
@@ -133,25 +123,6 @@ class ByteTracker:
         self._tracks = _latest(seen.followed_by(_begun(detections, columns, settings)).followed_by(lost))
         self._stamp_s = stamp_s
         return tuple(str(number) if number else "" for number in numbers.tolist())
-
-    def _with_common(
-        self, tracks: Tracks, detections: Detections, step_s: float, settings: Settings
-    ) -> Tracks:
-        """The `tracks` after what those seen lately have in common is known."""
-        if not len(tracks):
-            self._common = CommonMotion()
-            return tracks
-        size_px = tracks.usual_size_px
-        self._common.predict(step_s, size_px)
-        recent = tracks.is_confirmed & (tracks.unseen_s <= step_s + _RECENT_S)
-        leading = tracks.at(np.flatnonzero(recent)[:_LEADING])
-        high = np.flatnonzero(detections.scores[:_LEADING] >= settings.track_high_threshold)
-        similarity = _similarity(leading, detections, len(high), settings, self._common.variance_xy)
-        everyone = np.arange(len(leading))
-        rows, columns = best_pairs(similarity, everyone, high, settings.track_match_threshold)
-        seen_xy = xyxy_to_cxcywh(detections.boxes_xyxy[columns])[:, :2]
-        correction = self._common.correct(leading.position[rows, :2], seen_xy, size_px)
-        return tracks if correction is None else tracks.seen_from(*correction)
 
 
 def _begun(detections: Detections, taken: Indices, settings: Settings) -> Tracks:
@@ -198,15 +169,13 @@ def _similarity(
     detections: Detections,
     count: int,
     settings: Settings,
-    common_variance_xy: Array | float = 0.0,
 ) -> NDArray[np.float64]:
     """IoU (n, count) of the tracks with the first `count` detections; 0 where the classes differ.
 
     Between two images of a slow camera an object may leave its predicted box, so boxes are compared with a
     margin, as in C-BIoU (Yang et al. 2023): the uncertainty of the prediction, which is small at 30 Hz.
     """
-    margin_xy = tracks.margin_xy(common_variance_xy)
-    similarity = iou_matrix(tracks.boxes_xyxy, detections.boxes_xyxy[:count], margin_xy)
+    similarity = iou_matrix(tracks.boxes_xyxy, detections.boxes_xyxy[:count], tracks.margin_xy)
     if not settings.track_across_classes:
         similarity[tracks.class_ids[:, None] != detections.class_ids[:count]] = 0
     return similarity

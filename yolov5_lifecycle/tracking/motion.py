@@ -1,4 +1,4 @@
-"""Tracks, the motion of their boxes, and what this has in common: a camera that moved unexpectedly.
+"""Tracks and the motion of their boxes.
 
 Each coordinate of each box has a Kalman filter of constant velocity.
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,22 +40,6 @@ MAX_MARGIN = 0.5
 """Largest margin of a predicted box, in box sizes."""
 MIN_SIZE_PX = 1.0
 """Smallest size that scales the noise, so that an empty box has some, too."""
-
-MIN_BOXES = 3
-"""With fewer boxes, what they have in common may be their own motion."""
-MIN_BOXES_TO_TURN = 5
-"""With fewer boxes there is no turn and no zoom."""
-_MIN_DENSITY, _MAX_DENSITY = 0.01, 200.0
-"""Of the variance that the velocity gains per second, in (box sizes / s)^2 / s."""
-_ADAPTION = 0.3
-"""How much of the normalised innovation, less the expected 1, the density's logarithm gains per image."""
-_MAX_INNOVATION = 10.0
-"""A larger normalised innovation counts as this one."""
-_MIN_SPREAD = 0.04
-"""Of the surprises of single boxes, in box sizes: the standard deviation of a detected centre."""
-_MIN_SIGNIFICANCE = 9.0
-"""Of turn and zoom, as a squared number of standard deviations."""
-_ROUNDS = 3  # of robust least squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,18 +98,10 @@ class Tracks:
         centre, half_size = self.position[:, :2], self.position[:, 2:] / 2
         return np.concatenate((centre - half_size, centre + half_size), axis=1)
 
-    def margin_xy(self, common_variance_xy: Array | float = 0.0) -> Array:
-        """(n, 2) standard deviation of the centre in pixels, at most MAX_MARGIN.
-
-        `common_variance_xy` (2,) is that of all centres together, in pixels squared.
-        """
-        std = np.sqrt(self.variances[:, 0, :2] + common_variance_xy)
-        return np.minimum(std, MAX_MARGIN * _size(self.position))
-
     @property
-    def usual_size_px(self) -> float:
-        """Median over the tracks, of which there must be one, of the mean of width and height."""
-        return float(np.median(_size(self.position)))
+    def margin_xy(self) -> Array:
+        """(n, 2) standard deviation of the centre in pixels, at most MAX_MARGIN."""
+        return np.minimum(np.sqrt(self.variances[:, 0, :2]), MAX_MARGIN * _size(self.position))
 
     def later(self, step_s: float, timeout_s: float) -> Tracks:
         """The tracks `step_s` seconds later, without those unseen for more than `timeout_s`."""
@@ -139,18 +114,19 @@ class Tracks:
         estimates[:, 0] += estimates[:, 1] * step_s
         np.maximum(estimates[:, 0, 2:], 0, out=estimates[:, 0, 2:])
         density = ACCELERATION_DENSITY * _size(self.position) ** 2
-        variances = later_variances(self.variances, density, step_s)
+        variance, covariance, velocity_variance = self.variances.transpose(1, 0, 2)
+        drift = covariance + velocity_variance * step_s
+        variances = np.empty_like(self.variances)
+        variances[:, 0] = variance + (covariance + drift) * step_s + density * (step_s**3 / 3)
+        variances[:, 1] = drift + density * (step_s**2 / 2)
+        variances[:, 2] = velocity_variance + density * step_s
         return replace(self, estimates=estimates, variances=variances, unseen_s=self.unseen_s + step_s)
 
-    def seen_from(self, camera: Similarity, velocity_xy: Array | float = 0.0) -> Tracks:
-        """The tracks in an image to whose pixels `camera` maps those of the last one.
-
-        `velocity_xy` (2,) is added to the velocity of all centres.
-        """
+    def seen_from(self, camera: Similarity) -> Tracks:
+        """The tracks in an image to whose pixels `camera` maps those of the last one."""
         linear, scale = camera[:, :2].T, float(np.hypot(*camera[:, 0]))
         estimates = _transformed(self.estimates, linear, scale)
         estimates[:, 0, :2] += camera[:, 2]
-        estimates[:, 1, :2] += velocity_xy
         return replace(self, estimates=estimates, variances=_transformed(self.variances, linear**2, scale**2))
 
     def corrected(
@@ -163,10 +139,12 @@ class Tracks:
         measured = xyxy_to_cxcywh(boxes_xyxy)
         noise = measurement_std(measured, scores, step_s)[:, None] ** 2
         gain = self.variances[:, :2] / (self.variances[:, :1] + noise)
+        of_position, of_velocity = self.variances[:, :2], self.variances[:, 2:]
+        rest = of_velocity - gain[:, 1:] * of_position[:, 1:]
         return replace(
             self,
             estimates=self.estimates + gain * (measured - self.position)[:, None],
-            variances=corrected_variances(self.variances, gain),
+            variances=np.concatenate((of_position * (1 - gain[:, :1]), rest), axis=1),
             unseen_s=np.zeros(len(self)),
         )
 
@@ -184,27 +162,6 @@ def _transformed(values: Array, linear: Array, scale: float) -> Array:
     """The `values` (n, k, 4) of centres, mapped by `linear` (2, 2), and of sizes, times `scale`."""
     rows = values.reshape(-1, 4)
     return np.hstack((rows[:, :2] @ linear, rows[:, 2:] * scale)).reshape(values.shape)
-
-
-def later_variances(variances: Array, density: Array | float, step_s: float) -> Array:
-    """The `variances` (..., 3, k) of a `Tracks`, `step_s` seconds later.
-
-    `density` (..., k): the variance that the velocity gains per second, in (pixels / s)^2 / s.
-    """
-    variance, covariance, velocity_variance = (variances[..., part, :] for part in range(3))
-    drift = covariance + velocity_variance * step_s
-    later = np.empty_like(variances)
-    later[..., 0, :] = variance + (covariance + drift) * step_s + density * (step_s**3 / 3)
-    later[..., 1, :] = drift + density * (step_s**2 / 2)
-    later[..., 2, :] = velocity_variance + density * step_s
-    return later
-
-
-def corrected_variances(variances: Array, gain: Array) -> Array:
-    """The `variances` (..., 3, k) after a measurement, by the `gain` (..., 2, k) of both estimates."""
-    of_position, of_velocity = variances[..., :2, :], variances[..., 2:, :]
-    rest = of_velocity - gain[..., 1:, :] * of_position[..., 1:, :]
-    return np.concatenate((of_position * (1 - gain[..., :1, :]), rest), axis=-2)
 
 
 def xyxy_to_cxcywh(boxes_xyxy: NDArray[np.floating]) -> Array:
@@ -229,90 +186,3 @@ def measurement_std(boxes_cxcywh: Array, scores: NDArray[np.floating], step_s: f
 def _size(position: Array) -> Array:
     """(n, 1) mean of width and height in pixels."""
     return np.asarray(np.maximum(position[:, 2:].mean(axis=1, keepdims=True), MIN_SIZE_PX))
-
-
-class Correction(NamedTuple):
-    """What the tracks gain: their places are mapped, then their velocities grow."""
-
-    similarity: Similarity
-    velocity_xy: Array
-    """(2,) pixels per second."""
-
-
-class CommonMotion:
-    """What all boxes of a camera's image have in common, from the boxes alone.
-
-    A Kalman filter like that of one box, for how far the predictions of all tracks are off; x and y are
-    independent. What it finds is added to all tracks, lost ones included, so that only the uncertainty
-    remains here. The noise of the acceleration follows the innovations, so that little is added while a
-    camera stands still.
-    """
-
-    def __init__(self) -> None:
-        self._density = _MIN_DENSITY
-        self._variances = np.zeros((3, 2))
-        """Of place and velocity, see `Tracks.variances`."""
-
-    @property
-    def variance_xy(self) -> Array:
-        """(2,) of a predicted place, in pixels squared, besides that of its own track."""
-        return np.asarray(self._variances[0])
-
-    def predict(self, step_s: float, size_px: float) -> None:
-        """Let `step_s` seconds pass; `size_px`: of a usual box."""
-        self._variances = later_variances(self._variances, self._density * size_px**2, step_s)
-
-    def correct(self, predicted_xy: Array, seen_xy: Array, size_px: float) -> Correction | None:
-        """What the tracks gain as centres were `predicted_xy` (n, 2) and are `seen_xy` (n, 2).
-
-        None for fewer than MIN_BOXES, which say nothing about a camera.
-        """
-        if len(seen_xy) < MIN_BOXES:
-            # Certain again: without measurements the uncertainty would grow for ever.
-            self._variances = np.zeros((3, 2))
-            self._adapt(0.0)
-            return None
-        surprise = seen_xy - predicted_xy
-        middle = np.median(surprise, axis=0)
-        spread = np.maximum(1.48 * np.median(np.abs(surprise - middle), axis=0), _MIN_SPREAD * size_px)
-        uncertainty = self.variance_xy + (1.25 * spread) ** 2 / len(surprise)  # of a median
-        self._adapt(float(np.minimum(middle**2 / uncertainty, _MAX_INNOVATION).mean()))
-        gain = self._variances[:2] / uncertainty
-        self._variances = corrected_variances(self._variances, gain)
-        shift_xy, velocity_xy = gain * middle
-        turn = _turn(predicted_xy + shift_xy, surprise - middle, _MIN_SPREAD * size_px)
-        turn[:, 2] += turn[:, :2] @ shift_xy
-        return Correction(turn, velocity_xy)
-
-    def _adapt(self, innovation: float) -> None:
-        density = self._density * math.exp(_ADAPTION * (innovation - 1))
-        self._density = min(max(density, _MIN_DENSITY), _MAX_DENSITY)
-
-
-def _turn(places_xy: Array, surprise_xy: Array, min_spread_px: float) -> Similarity:
-    """The turn and zoom (2, 3) around the middle of `places_xy` (n, 2) that `surprise_xy` (n, 2) follow.
-
-    Robust least squares with Huber's weights. What is not significant is the identity.
-    """
-    if len(places_xy) < MIN_BOXES_TO_TURN:
-        return np.eye(2, 3)
-    middle = places_xy.mean(axis=0)
-    arms = places_xy - middle
-    across = np.stack((-arms[:, 1], arms[:, 0]), axis=1)
-    weights = np.ones(len(arms))
-    zoom = turn = significance = 0.0
-    for _ in range(_ROUNDS):
-        total = float((weights * (arms**2).sum(axis=1)).sum())
-        if total <= 0:
-            return np.eye(2, 3)
-        zoom = float((weights * (arms * surprise_xy).sum(axis=1)).sum()) / total
-        turn = float((weights * (across * surprise_xy).sum(axis=1)).sum()) / total
-        rest = np.linalg.norm(surprise_xy - zoom * arms - turn * across, axis=1)
-        scale = max(1.2 * float(np.median(rest)), min_spread_px)
-        weights = 1 / np.maximum(rest / scale, 1.0)
-        significance = (zoom**2 + turn**2) * total / scale**2
-    if significance < _MIN_SIGNIFICANCE:
-        return np.eye(2, 3)
-    gain = 1 - _MIN_SIGNIFICANCE / 2 / significance
-    linear = np.array(((1 + gain * zoom, -gain * turn), (gain * turn, 1 + gain * zoom)))
-    return np.column_stack((linear, middle - linear @ middle))

@@ -180,7 +180,7 @@ class DepthInput:
             missing = Unplaced.NO_DEPTH_IMAGE
             self._count_unplaced(count, missing, f"{missing.value}: {paired.value}")
             return None
-        depth, frame_id = paired.item
+        depth, frame_id = paired
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
