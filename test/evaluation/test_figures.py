@@ -8,9 +8,7 @@ from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,13 +17,6 @@ from pycocotools.cocoeval import COCOeval
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.evaluation import figures
-from yolov5_lifecycle.evaluation.curves import (
-    MAX_NAMED,
-    MAX_NUMBERED,
-    draw_confusion_matrix,
-    draw_f1_curve,
-    draw_pr_curve,
-)
 from yolov5_lifecycle.evaluation.figures import (
     METRICS,
     MIN_IMAGES,
@@ -38,7 +29,6 @@ from yolov5_lifecycle.evaluation.figures import (
     drawn_weights,
     interval,
     mean_of_classes,
-    occurring,
     resampled,
     rows,
     sweep,
@@ -414,28 +404,3 @@ def test_an_interval_holds_the_difference_in_most_data_sets() -> None:
         found = interval(samples, (float(first.mean()), float(second.mean())), 40)
         held += found.difference_low <= 0.1 <= found.difference_high
     assert 0.88 <= held / 200 <= 0.99
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "names",
-    [
-        pytest.param(("_hidden", "$x^", "猫", "a\nb\x1b[31m", "x" * 300), id="strange names"),
-        pytest.param(tuple(map(str, range(MAX_NAMED + 1))), id="many classes"),
-        pytest.param(tuple(map(str, range(MAX_NUMBERED + 5))), id="very many classes"),
-    ],
-)
-def test_curves_are_pictures(names: Sequence[str], tmp_path: Path) -> None:
-    evaluated = random_images(1, 40, classes=len(names))
-    matches = match(evaluated, names)
-    counts, confused = occurring(confusion_matrix(evaluated, matches, np.full(len(names), 0.3)), names)
-    files: dict[str, Any] = {name: tmp_path / name for name in ("pr.png", "f1.png", "confusion.png")}
-    draw_pr_curve(files["pr.png"], matches)
-    draw_f1_curve(files["f1.png"], matches, 0.25)
-    draw_confusion_matrix(
-        files["confusion.png"], (*confused, "no object"), (*confused, "nothing"), counts.tolist()
-    )
-    for file in files.values():
-        picture = cv2.imread(str(file))
-        assert min(picture.shape[:2]) > 400
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20

@@ -32,14 +32,7 @@ from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
-FILES = [
-    "confusion_matrix.png",
-    "detections.json",
-    "f1_curve.png",
-    "ground_truth.json",
-    "pr_curve.png",
-    "report.json",
-]
+FILES = ["detections.json", "ground_truth.json", "report.json"]
 
 
 @pytest.fixture(scope="module")
@@ -196,18 +189,15 @@ def test_classes_are_compared_by_name(data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("module", "words", "status"),
-    [("rosbags", [], 0), ("pycocotools", [], 1), ("matplotlib", ["--output", "out"], 1)],
-)
+@pytest.mark.parametrize(("module", "status"), [("rosbags", 0), ("pycocotools", 1)])
 def test_a_missing_package_is_named_with_the_remedy_where_it_is_needed(
-    module: str, words: list[str], status: int, data: Path, tmp_path: Path
+    module: str, status: int, data: Path, tmp_path: Path
 ) -> None:
     program = (
         f"import sys; sys.modules[{module!r}] = None; "
         "from yolov5_lifecycle.commands.entry_points import evaluate; evaluate()"
     )
-    command = [sys.executable, "-c", program, WEIGHTS, str(data), *FAST, *words]
+    command = [sys.executable, "-c", program, WEIGHTS, str(data), *FAST]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ended.returncode == status
     assert (f"-m pip install {module}" in ended.stderr) is (status == 1)

@@ -54,7 +54,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="new folder for report.json, the curves (PNG) and all detections",
+        help="new folder for report.json and all detections",
     )
     parser.add_argument(
         "--compare",

@@ -59,9 +59,8 @@ def _evaluated(
     wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
         wanted.append(_settings(arguments, _compared(arguments.compare)))
-    for module in ("pycocotools.cocoeval", *(["matplotlib.figure"] if arguments.output else [])):
-        if problem := absence_of(module):
-            raise DetectingError(problem)
+    if problem := absence_of("pycocotools.cocoeval"):
+        raise DetectingError(problem)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
         data = labelled_data(arguments.data, options, reports.problems)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from yolov5_lifecycle.evaluation.curves import draw_confusion_matrix, draw_f1_curve, draw_pr_curve
 from yolov5_lifecycle.evaluation.figures import (
     MIN_IOU,
     RESAMPLES,
@@ -128,7 +127,7 @@ class EvaluationResult:
         return "\n".join(parts)
 
     def write(self, folder: Path) -> None:
-        """Write report, curves, and the detections and ground truth behind them to the new `folder`.
+        """Write the report, and the detections and ground truth behind it to the new `folder`.
 
         Raises OSError.
         """
@@ -141,9 +140,6 @@ class EvaluationResult:
             fields = ("image_id", "category_id", "bbox", "score")
             found = found_annotations(evaluation.images)
             _write_json(folder / name, [{field: one[field] for field in fields} for one in found])
-        draw_pr_curve(folder / "pr_curve.png", self._matches[0])
-        draw_f1_curve(folder / "f1_curve.png", self._matches[0], first.settings.confidence_threshold)
-        draw_confusion_matrix(folder / "confusion_matrix.png", **self.report["confusion_matrix"])
 
     def _head(self) -> str:
         data, model = self.report["data"], self.report["model"]
