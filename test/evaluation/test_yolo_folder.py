@@ -49,8 +49,7 @@ class Told:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.steps: list[str] = []
-        self.problems = Problems(self.lines.append, progress=self.steps.append)
+        self.problems = Problems(self.lines.append)
 
     def read(self, data: Path, split: str | None = None, root: Path | None = None) -> LabelledFolder:
         return read_yolo_folder(data, self.problems, split=split, root=root)
@@ -203,7 +202,6 @@ def test_what_is_broken_is_listed_and_the_rest_is_read(tmp_path: Path) -> None:
     assert told.lines[0].startswith("broken labels: ")
     assert "labels/00.txt: line 1: expected a class from 0 to 1, found 7" in told.lines[0]
     assert told.lines[-1] == "further problems are only counted"
-    assert told.steps == ["looking for images", "labels: 0 of 20 images"]
 
 
 def aliases(depth: int) -> str:

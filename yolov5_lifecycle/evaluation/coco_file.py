@@ -74,7 +74,6 @@ def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) 
     there `images` and the folder of the split, such as `val2017` for `instances_val2017.json`. Problems with
     single records are added to `problems`. Raises DataError if nothing is left or a limit is exceeded.
     """
-    problems.progress("reading the COCO file")
     content = _content(path)
     categories = _by_id(_Category, content["categories"], "categories", problems)
     try:

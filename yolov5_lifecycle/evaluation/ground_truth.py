@@ -65,17 +65,11 @@ def read_data_file(path: Path, max_bytes: int) -> bytes:
 
 
 class Problems:
-    """Counts what cannot be used and calls `tell` with the first problems, one line each.
+    """Counts what cannot be used and calls `tell` with the first problems, one line each."""
 
-    `progress` is called with what is being read, such as `labels: 3000 of 5000 images`.
-    """
-
-    def __init__(
-        self, tell: Callable[[str], None], *, progress: Callable[[str], None] = lambda _: None
-    ) -> None:
+    def __init__(self, tell: Callable[[str], None]) -> None:
         self.counts: Counter[Kind] = Counter()
         self.first: list[str] = []
-        self.progress = progress
         self._tell = tell
 
     def add(self, kind: Kind, where: object, reason: object) -> None:

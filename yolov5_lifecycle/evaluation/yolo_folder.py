@@ -50,8 +50,6 @@ MAX_LINES = 2 * MAX_BOXES_PER_IMAGE
 _TOLERANCE = 1e-4
 """How far outside of the image a fraction may be, as tools round."""
 _MIN_POLYGON_FIELDS = 7
-_PROGRESS_PERIOD = 500
-"""Images between two reports of the progress."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,6 @@ def read_yolo_folder(
     description = read_description(description_path) if description_path else DataDescription()
     folder = absolute(description_path.parent if description_path else data)
     reader = _Reader(folder, absolute(root) if root else folder, problems)
-    problems.progress("looking for images")
     wanted = _entries(description, data, split)
     paths = reader.images(wanted, description.folder)
     if not paths:
@@ -228,9 +225,7 @@ class _Reader:
 
     def labelled(self, paths: Sequence[Path], class_count: int) -> Iterator[LabelledPath]:
         """The images with their labels, none if there is no label file; without those with broken ones."""
-        for number, path in enumerate(paths):
-            if number % _PROGRESS_PERIOD == 0:
-                self._problems.progress(f"labels: {number} of {len(paths)} images")
+        for path in paths:
             label_path = _label_path(path, self.root)
             text: str | None = ""
             try:

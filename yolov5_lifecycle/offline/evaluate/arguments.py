@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
@@ -23,20 +22,6 @@ examples:
   evaluate best.pt shots --compare older.pt
   evaluate best.pt shots --compare runtime=openvino,image_size=320
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class DataOptions:
-    """How to read images: see `add_data_options`; `topic` is the image topic of a recording."""
-
-    split: str | None = None
-    root: Path | None = None
-    topic: str | None = None
-
-    def useless(self, kind: str) -> list[str]:
-        """The given options that do not apply to data sets of this `kind`."""
-        of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic",)}[kind]
-        return [name for name, value in vars(self).items() if value is not None and name not in of_kind]
 
 
 def command_parser() -> argparse.ArgumentParser:
@@ -68,13 +53,6 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="GOAL",
         help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
     )
-    add_data_options(parser)
-    add_detector_options(parser)
-    return parser
-
-
-def add_data_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options split and root."""
     parser.add_argument(
         "--split",
         choices=SPLITS,
@@ -86,3 +64,5 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
     )
+    add_detector_options(parser)
+    return parser
