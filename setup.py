@@ -101,7 +101,7 @@ setup(
     install_requires=[
         "annotated-types",
         "numpy>=1.26",
-        "pydantic>=2",
+        "pydantic>=2.6",
         "pydantic-core",
         "pyyaml>=5.4",
         "safetensors",
