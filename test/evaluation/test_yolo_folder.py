@@ -145,9 +145,8 @@ def test_a_list_and_a_description_may_have_a_byte_order_mark(encoding: str, tmp_
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        pytest.param(r"images\1.jpg", r"a path of Windows; type sed -i 's|\\|/|g' FILE", id="backslash"),
-        pytest.param("C:/a/images/1.jpg", "a path of Windows; make it relative to ", id="drive"),
-        pytest.param(r"C:\a\1.jpg", r"sed -i 's|\\|/|g' FILE; make it relative to ", id="both"),
+        pytest.param(r"images\1.jpg", r"a path of Windows; type sed -i 's|\\|/|g' FILE, ", id="backslash"),
+        pytest.param("C:/a/images/1.jpg", "make a path with a drive relative to ", id="drive"),
         pytest.param("../there.jpg", "; --root names the folder that may be read", id="outside"),
     ],
 )
@@ -353,7 +352,7 @@ def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> Non
 
 def test_the_number_of_objects_is_limited() -> None:
     lines = (f"0 0.5 0.5 0.2 {0.1 + number / 1e6}" for number in range(MAX_BOXES_PER_IMAGE + 1))
-    with pytest.raises(DataError, match="found 10001 objects in an image, more than 10000"):
+    with pytest.raises(DataError, match="the image: expected at most 10,000 objects, found 10,001"):
         parsed_labels("\n".join(lines), 1)
 
 
