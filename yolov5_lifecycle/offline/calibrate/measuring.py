@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 import torch
 
 from yolov5_lifecycle.detection.detections import Detections
@@ -47,7 +46,6 @@ class Measurement:
     taken: Taken
     """For an image, the median."""
     f1: float
-    box_iou: float
     """See `agreement`."""
 
 
@@ -109,7 +107,7 @@ def measured(
             times.append(time_taken(partial(_detect, detector, image, selection, detections)))
         tell(f"measuring: {number + 1} of {len(images)} images")
     measurements = [
-        Measurement(*name, median(times), *agreement(found[0], others))
+        Measurement(*name, median(times), agreement(found[0], others))
         for name, times, others in zip(detectors, taken, found, strict=True)
     ]
     return measurements, sum(map(len, found[0]))
@@ -119,21 +117,21 @@ def _detect(detector: Detector, image: ColourImage, selection: Selection, found:
     found.append(detector.detect(image, selection))
 
 
-def agreement(truth: Sequence[Detections], found: Sequence[Detections]) -> tuple[float, float]:
-    """F1 of what was found in each image, and the mean IoU of the pairs, 0 without any.
+def agreement(truth: Sequence[Detections], found: Sequence[Detections]) -> float:
+    """F1 of what was found in each image, 1 if there is nothing.
 
-    Pairs are of one class and an IoU of at least 0.5, the best found first. F1 is 1 if there is nothing.
+    Pairs are of one class and an IoU of at least 0.5, the best found first.
     """
-    ious: list[float] = []
+    pairs = 0
     for true, other in zip(truth, found, strict=True):
         free = iou_matrix(other.boxes_xyxy, true.boxes_xyxy)
         free[other.class_ids[:, None] != true.class_ids] = 0
         for row in free:
             if row.max(initial=0) >= _SMALLEST_IOU:
-                ious.append(float(row.max()))
+                pairs += 1
                 free[:, row.argmax()] = 0
     total = sum(map(len, truth)) + sum(map(len, found))
-    return 2 * len(ious) / total if total else 1.0, float(np.mean(ious)) if ious else 0.0
+    return 2 * pairs / total if total else 1.0
 
 
 class Calibrating:
@@ -161,7 +159,7 @@ class Calibrating:
         self._tell("comparing int8 with fp32")
         whole = Quantization(read, frozenset(), self._bits)
         truth = self._detections(self._detector(COARSE_RUNTIME, "fp32"))
-        f1, _ = agreement(truth, self._detections(self._detector(COARSE_RUNTIME, "int8", whole)))
+        f1 = agreement(truth, self._detections(self._detector(COARSE_RUNTIME, "int8", whole)))
         kept = [] if f1 >= _GOOD_AGREEMENT else order[: round(_FP32_SHARE * len(order))]
         return Quantization(read, frozenset(kept), self._bits)
 
