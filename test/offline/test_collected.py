@@ -13,7 +13,6 @@ from support.candidates import CLASS_NAMES, frames_of, images_of, keep
 from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.collecting import collected_files
-from yolov5_lifecycle.collecting.collected_files import FRAMES, LABELS, file_of
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
@@ -117,22 +116,6 @@ def test_folders_whose_class_numbers_differ_do_not_become_one(tmp_path: Path) ->
     collected(tmp_path / "robot_2", 1, names=CLASS_NAMES[::-1])
     assert not copied_into_one(tmp_path)
     assert not (tmp_path / "all").exists()
-
-
-@pytest.mark.parametrize("linked", ["{image}", "{labels}", "{record}", FRAMES])
-def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
-    tmp_path: Path, linked: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    robot = collected(tmp_path / "robot", 1, 1)
-    image = images_of(robot)[0].path
-    inner = robot / linked.format(image=image, labels=file_of(image, LABELS), record=file_of(image, FRAMES))
-    inner.rename(tmp_path / "outside")
-    inner.symlink_to(tmp_path / "outside")
-    before = sorted(tmp_path.rglob("*"))
-    for action in ("show", "split"):
-        assert run(action, robot) == 1
-        assert "found a link; replace it by a copy" in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_records_that_are_too_large_together_are_not_read(

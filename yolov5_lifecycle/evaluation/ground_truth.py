@@ -30,12 +30,7 @@ _MAX_SHOWN = 300
 _MAX_PATH = 100
 _OF_WINDOWS = re.compile(r"\\|^[A-Za-z]:/")
 
-Kind = Literal[
-    "broken labels",
-    "unusable images",
-    "failed images",
-    "unusable entries",
-]
+Kind = Literal["broken labels", "unusable images", "failed images", "unusable entries"]
 
 
 class DataError(ValueError):

@@ -24,7 +24,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_images import (
     fitted,
     of_one_size,
 )
-from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
+from yolov5_lifecycle.offline.calibrate.command import main, report
 from yolov5_lifecycle.offline.calibrate.measuring import Measurement, Worth, agreement
 from yolov5_lifecycle.offline.image_files import VideoFrame
 from yolov5_lifecycle.quantization.calibration_file import path_beside, read_calibration
@@ -224,8 +224,8 @@ def worth(int8_ms: float, f1: float = 0.99, *, saved: float = 3.0, detections: i
     ],
 )
 def test_the_verdict_is_the_line_to_type_or_why_not(measured: Worth, told: str) -> None:
-    assert verdict(measured, 320).startswith(told)
-    assert verdict(measured, 320).endswith(("precision int8", "Keep precision auto, which is fp32 on a CPU."))
+    assert measured.verdict(320).startswith(told)
+    assert measured.verdict(320).endswith(("precision int8", "Keep precision auto, which is fp32 on a CPU."))
 
 
 def test_the_report_has_a_row_for_each_runtime_and_precision(tmp_path: Path) -> None:

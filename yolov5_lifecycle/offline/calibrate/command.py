@@ -59,18 +59,10 @@ def report(calibration: Calibration, worth: Worth, path: Path) -> str:
             f"layers      {layers - kept} in int8, {kept} and the last one in fp32",
             f"processor   {', '.join(abilities())}",
             f"written     {in_one_line(str(path), _MAX_PATH)}",
-            verdict(worth, calibration.image_size),
+            worth.verdict(calibration.image_size),
             "",
         )
     )
-
-
-def verdict(worth: Worth, image_size: int) -> str:
-    """Whether int8 pays, and the line to type."""
-    pays, reason = worth.verdict()
-    if not pays:
-        return f"int8 does not pay: {reason}. Keep precision auto, which is fp32 on a CPU."
-    return f"int8 pays: {reason}. With image_size {image_size}, type: ros2 param set /yolov5 precision int8"
 
 
 def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
