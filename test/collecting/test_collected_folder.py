@@ -250,7 +250,9 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
     assert (tmp_path / "videos" / ".drive.mp4.part").exists()
 
 
-@pytest.mark.parametrize("linked", ["images", "frames", "labels/{session}", "{image}", "{record}", "data.yaml"])
+@pytest.mark.parametrize(
+    "linked", ["images", "frames", "labels/{session}", "{image}", "{record}", "data.yaml"]
+)
 def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
     path = foreign(tmp_path / "foreign")
     inner = path / named(path, linked)

@@ -46,13 +46,12 @@ def rules(**changes: Any) -> CollectRules:
     return replace(usual, **changes)
 
 
-def found(*objects: tuple[str, float, tuple[float, ...]], ids: tuple[str, ...] = ()) -> Detections:
+def found(*objects: tuple[str, float, tuple[float, ...]]) -> Detections:
     """Detections from class name, score and box each, highest score first."""
     return Detections(
         np.array([box for *_, box in objects], np.float32).reshape(-1, 4),
         np.array([score for _, score, _ in objects], np.float32),
         np.array([CLASS_NAMES.index(name) for name, *_ in objects], np.int64),
-        track_ids=ids,
     )
 
 

@@ -230,5 +230,9 @@ def test_the_verdict_is_the_line_to_type_or_why_not(measured: Worth, told: str) 
 
 def test_the_report_has_a_row_for_each_runtime_and_precision(tmp_path: Path) -> None:
     lines = report(a_calibration(), worth(10.0), tmp_path).splitlines()
-    assert [line.split()[-2:] for line in lines[1:4]] == [["70.0", "1.000"], ["20.0", "0.990"], ["60.0", "1.000"]]
+    assert [line.split()[-2:] for line in lines[1:4]] == [
+        ["70.0", "1.000"],
+        ["20.0", "0.990"],
+        ["60.0", "1.000"],
+    ]
     assert "layers      1 in int8, 1 and the last one in fp32" in lines

@@ -55,7 +55,7 @@ def test_the_embedded_model_finds_the_shapes(data: Path, capsys: pytest.CaptureF
     assert error == ""
     lines = output.splitlines()
     head = next(number for number, line in enumerate(lines) if line.startswith("class "))
-    assert lines[head].split() == "class images objects precision recall F1 mAP@50 mAP@50:95".split()
+    assert " ".join(lines[head].split()) == "class images objects precision recall F1 mAP@50 mAP@50:95"
     cells = {line.split()[0]: line.split()[1:] for line in lines[head + 1 : head + 6]}
     assert list(cells) == ["all", *CLASS_NAMES]
     precision, recall, f1, ap50, ap50_95 = map(float, cells["all"][2:])

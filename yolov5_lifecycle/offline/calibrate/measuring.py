@@ -77,9 +77,8 @@ class Worth:
         elif min(speedup, saving) < MIN_SPEEDUP:
             problem = f"{told}; it pays from {MIN_SPEEDUP:g} x by both times"
         else:
-            return (
-                f"int8 pays: {told}. With image_size {image_size}, type: ros2 param set /yolov5 precision int8"
-            )
+            line = "ros2 param set /yolov5 precision int8"
+            return f"int8 pays: {told}. With image_size {image_size}, type: {line}"
         return f"int8 does not pay: {problem}. Keep precision auto, which is fp32 on a CPU."
 
 

@@ -10,9 +10,7 @@ from yolov5_lifecycle.commands.command_line import CommandParser
 
 def command_parser() -> argparse.ArgumentParser:
     """The argument parser of the command; every action has a `folder`."""
-    parser = CommandParser(
-        "collected", description="Show and split what a detector has collected."
-    )
+    parser = CommandParser("collected", description="Show and split what a detector has collected.")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
     def action(name: str, told: str) -> argparse.ArgumentParser:
