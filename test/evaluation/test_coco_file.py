@@ -166,13 +166,14 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
             r"'val.1.jpg' is a path of Windows; type sed -i 's\|\\\\\\\\\|/\|g' FILE, ",
             id="of Windows",
         ),
-        pytest.param(coco([image(1, file_name="../there/1.jpg")], []), r"lies outside of [^;]*$", id="above"),
+        pytest.param(coco([image(1, file_name="../outside.jpg")], []), r"lies outside of [^;]*$", id="above"),
         pytest.param(coco([image(1)], []), "no image has labels that can be used", id="no objects"),
         pytest.param(coco([], [], [{"id": 1, "name": "x" * 201}]), "a class name of 201", id="long name"),
         pytest.param(coco([], [], [{"id": 1, "name": []}]), "strings or numbers, found a list", id="list"),
     ],
 )
 def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason: str, tmp_path: Path) -> None:
+    (tmp_path.parent / "outside.jpg").touch()
     with pytest.raises(DataError, match=reason):
         read(write(tmp_path, content))
 

@@ -38,6 +38,7 @@ def test_broken_images_and_labels_are_listed_counted_and_left_out(
     (images / "0004.jpg").unlink()
     os.mkfifo(images / "0004.jpg")
     (images / "list.txt").write_text("no image either")
+    (labels / "0005.txt").write_text("0 0.5 0.5 0.1 0.1\n")
     words = ["--output", str(data.parent / "out"), "--compare", "confidence_threshold=0.5"]
     assert evaluate(data, *words) == 0
     output, error = capsys.readouterr()
@@ -45,6 +46,7 @@ def test_broken_images_and_labels_are_listed_counted_and_left_out(
     counts = report["data"]["problems"]["counts"]
     assert counts == {"broken labels": 2, "unusable images": 3}
     assert report["data"]["images"] == 1
+    assert [row["recall"] is None for row in report["classes"]] == [False, True, True, True]
     assert [line.removeprefix("evaluate: ") for line in error.splitlines()] == report["data"]["problems"][
         "first"
     ]
