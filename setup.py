@@ -101,7 +101,7 @@ setup(
     install_requires=[
         "annotated-types",
         "numpy>=1.26",
-        "pydantic>=2",
+        "pydantic>=2.6",
         "pydantic-core",
         "pyyaml>=5.4",
         "safetensors",
@@ -116,7 +116,7 @@ setup(
             "uvicorn>=0.35",
             "websockets>=13",
         ],
-        "evaluation": ["matplotlib>=3.8", "pycocotools>=2.0.7"],
+        "evaluation": ["pycocotools>=2.0.7"],
         "onnxruntime": ["onnx>=1.16", "onnxruntime>=1.19"],
         "opencv": ["opencv-python-headless>=4.6"],
         "openvino": ["onnx>=1.16", "openvino>=2024.4"],

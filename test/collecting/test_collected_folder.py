@@ -34,7 +34,9 @@ from yolov5_lifecycle.collecting.collected_files import (
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+from yolov5_lifecycle.images.image import ColourImage
 
+STRANGE_NAME = 'no "bird": #1\\ \U0001f600 \u06af\u0631\u0628\u0647\u200c\u0647\u0627'
 LARGE = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
 ROOM = 3
 
@@ -104,7 +106,8 @@ def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -
     keep(folder)
     folder.close()
     small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=folder.size_bytes))
-    large = candidate(1, received_jpeg=np.zeros(100_000, np.uint8), reasons={Trigger.REQUESTED: Detail("")})
+    noise = np.random.default_rng(0).integers(0, 255, (500, 500, 3)).astype(np.uint8)
+    large = candidate(1, image=ColourImage(noise, "bgr"), reasons={Trigger.REQUESTED: Detail("")})
     assert not add(small, large)
     small.close()
     assert check(tmp_path) == 1
@@ -126,30 +129,15 @@ def test_what_was_kept_before_is_known_again_and_a_process_goes_on_with_its_sess
     assert images(tmp_path) == [f"images/{first.session.name}/{number:06d}.jpg" for number in (1, 2)]
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("cat \U0001f600", "\u06af\u0631\u0628\u0647\u200c\u0647\u0627"),
-        ("no", "1"),
-    ],
-)
-def test_class_names_of_any_language_are_read_back(tmp_path: Path, names: tuple[str, str]) -> None:
-    folder = CollectedFolder(tmp_path, LARGE)
-    keep(folder, names=names)
-    folder.close()
-    again = CollectedFolder(tmp_path, LARGE)
-    assert again.class_names == names
-    again.close()
-    assert check(tmp_path, names) == 1
-
-
 def test_models_with_other_classes_share_the_folder_by_their_names(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, LARGE)
     keep(folder, 0)
-    keep(folder, 1, names=('a "bird": #1\\', "cat"))
+    keep(folder, 1, names=(STRANGE_NAME, "cat"))
     folder.close()
-    names = ("cat", "dog", 'a "bird": #1\\')
+    names = ("cat", "dog", STRANGE_NAME)
     assert check(tmp_path, names) == 2
+    with closing(CollectedFolder(tmp_path, LARGE)) as again:
+        assert again.class_names == names
     ids = [path.read_text().split()[0] for path in sorted(tmp_path.rglob("*.txt"))]
     assert ids == ["0", "2"]  # class 0 of each model
 
@@ -263,18 +251,7 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "linked",
-    [
-        "images",
-        "images/{session}",
-        "{image}",
-        "labels",
-        "labels/{session}",
-        "{labels}",
-        "frames",
-        "{record}",
-        "data.yaml",
-    ],
+    "linked", ["images", "frames", "labels/{session}", "{image}", "{record}", "data.yaml"]
 )
 def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
     path = foreign(tmp_path / "foreign")
@@ -301,15 +278,6 @@ def named(folder: Path, pattern: str) -> str:
     kept = images_of(folder)[0]
     of_image = {"labels": file_of(kept.path, LABELS), "record": file_of(kept.path, FRAMES)}
     return pattern.format(session=kept.session, image=kept.path, **of_image)
-
-
-def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
-    (tmp_path / "outside").mkdir()
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "labels").symlink_to(tmp_path / "outside")
-    with pytest.raises(CollectingError, match="expected a file or folder, found a link"):
-        CollectedFolder(tmp_path / "foreign", LARGE)
-    assert [*(tmp_path / "outside").iterdir()] == []
 
 
 @pytest.mark.parametrize(
@@ -394,7 +362,6 @@ def changed(**values: Any) -> bytes:
 @pytest.mark.parametrize(
     "text",
     [
-        pytest.param(b"", id="empty"),
         pytest.param(TEXT[:-1], id="without its end"),
         pytest.param(changed(image="images/../../etc/1.jpg"), id="another folder"),
         pytest.param(changed(image="images/drive/000001.jpg\n"), id="a line break"),

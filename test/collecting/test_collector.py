@@ -124,7 +124,6 @@ def test_frames_of_a_camera_have_a_gap_between_them_and_those_of_others_do_not_c
         pytest.param(0.6, 10.0, 7, [7, 8, 9], id="the best of five minutes"),
         pytest.param(0.6, 10.0, 3, [7, 8, 9], id="in a folder that is full at the same time"),
         pytest.param(0.6, 125.0, 7, [5, 4, 7, 6, 8, 9, 3], id="fewer in five minutes"),
-        pytest.param(0.3, 10.0, 7, [8, 9], id="the best of 400 s"),
         pytest.param(0.1, 150.0, 7, [9], id="the best of ten minutes"),
     ],
 )

@@ -163,16 +163,17 @@ def test_a_broken_image_record_is_listed_and_the_rest_is_read(record: object, tm
         pytest.param(coco([{"id": 1}], []), "can be used. 1 unusable entries", id="no name"),
         pytest.param(
             coco([image(1, file_name=r"val\1.jpg")], []),
-            r"'val.1.jpg' is a path of Windows; type sed -i 's\|\\\\\\\\\|/\|g' FILE\.$",
+            r"'val.1.jpg' is a path of Windows; type sed -i 's\|\\\\\\\\\|/\|g' FILE, ",
             id="of Windows",
         ),
-        pytest.param(coco([image(1, file_name="../there/1.jpg")], []), r"lies outside of [^;]*$", id="above"),
+        pytest.param(coco([image(1, file_name="../outside.jpg")], []), r"lies outside of [^;]*$", id="above"),
         pytest.param(coco([image(1)], []), "no image has labels that can be used", id="no objects"),
         pytest.param(coco([], [], [{"id": 1, "name": "x" * 201}]), "a class name of 201", id="long name"),
         pytest.param(coco([], [], [{"id": 1, "name": []}]), "strings or numbers, found a list", id="list"),
     ],
 )
 def test_a_file_of_which_nothing_can_be_used_is_refused(content: object, reason: str, tmp_path: Path) -> None:
+    (tmp_path.parent / "outside.jpg").touch()
     with pytest.raises(DataError, match=reason):
         read(write(tmp_path, content))
 
@@ -185,11 +186,6 @@ def test_names_of_categories_are_those_that_a_model_has(tmp_path: Path) -> None:
     assert found.class_names == ("7", "a b", r"\x1b", "class 3", "class 4")
     assert found.images[0].labels.boxes.class_ids.tolist() == [2]
     assert problems == []
-
-
-def test_a_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
-    path = write(tmp_path, "\ufeff" + json.dumps(coco([image(1)], [annotation(1)])))
-    assert len(read(path)[0].images) == 1
 
 
 def test_numbers_that_python_takes_for_equal_are_no_ids(tmp_path: Path) -> None:
@@ -245,14 +241,6 @@ def test_a_file_with_more_than_a_limit_is_refused(
     monkeypatch.setattr(coco_file, name, 4)
     with pytest.raises(DataError, match=f"expected at most 4 {key}, found 5"):
         read(write(tmp_path, {**coco([], [], []), key: [1] * 5}))
-
-
-@pytest.mark.parametrize("depth", [900, 20_000])
-def test_json_nested_in_a_record_is_refused_or_read_by_its_surface(depth: int, tmp_path: Path) -> None:
-    nested = "[" * depth + "]" * depth
-    content = f'{{"images": [{nested}], "annotations": [{nested}], "categories": [{nested}]}}'
-    with pytest.raises(DataError):
-        read(write(tmp_path, content), tmp_path)
 
 
 SCALARS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8))

@@ -8,9 +8,7 @@ from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,13 +17,6 @@ from pycocotools.cocoeval import COCOeval
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.evaluation import figures
-from yolov5_lifecycle.evaluation.curves import (
-    MAX_NAMED,
-    MAX_NUMBERED,
-    draw_confusion_matrix,
-    draw_f1_curve,
-    draw_pr_curve,
-)
 from yolov5_lifecycle.evaluation.figures import (
     METRICS,
     MIN_IMAGES,
@@ -38,7 +29,6 @@ from yolov5_lifecycle.evaluation.figures import (
     drawn_weights,
     interval,
     mean_of_classes,
-    occurring,
     resampled,
     rows,
     sweep,
@@ -58,7 +48,6 @@ from yolov5_lifecycle.evaluation.thresholds import Goal, chosen_thresholds, thre
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 
 CLASS_NAMES = ("cat", "dog", "bird")
-IOUS = tuple(0.5 + 0.05 * step for step in range(10))
 THRESHOLDS = np.array((0.2, 0.4, 0.6))
 
 
@@ -117,18 +106,6 @@ def slow_iou(box: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     return float(shared / ((x2 - x1) * (y2 - y1) + (right - left) * (bottom - top) - shared))
 
 
-def slow_average_precision(images: Sequence[EvaluatedImage], class_id: int, min_iou: float) -> float:
-    """Average precision of a class by its definition; NaN without objects."""
-    ranked, objects = slow_ranking(images, class_id, min_iou)
-    if not objects:
-        return float("nan")
-    hits = [sum(is_right for _, is_right in ranked[:count]) for count in range(1, len(ranked) + 1)]
-    points = [(right / objects, right / count) for count, right in enumerate(hits, start=1)]
-    recalls = [step / 100 for step in range(101)]
-    best = [max((p for recall, p in points if recall >= least - 1e-12), default=0.0) for least in recalls]
-    return sum(best) / len(best)
-
-
 @pytest.mark.parametrize("crowds", [0.0, 0.3])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_average_precision_is_what_pycocotools_prints_with_its_own_defaults(seed: int, crowds: float) -> None:
@@ -144,17 +121,6 @@ def test_average_precision_is_what_pycocotools_prints_with_its_own_defaults(seed
     matches = match(images, CLASS_NAMES)
     assert float(mean_of_classes(matches.ap50_95)) == pytest.approx(evaluation.stats[0], rel=1e-14)
     assert float(mean_of_classes(matches.ap50)) == pytest.approx(evaluation.stats[1], rel=1e-14)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_average_precision_is_that_of_its_definition(seed: int) -> None:
-    images = random_images(seed, 8)
-    matches = match(images, CLASS_NAMES)
-    slow = np.array(
-        [[slow_average_precision(images, number, least) for least in IOUS] for number in range(3)]
-    )
-    np.testing.assert_allclose(matches.ap50, slow[:, 0], atol=1e-6)
-    np.testing.assert_allclose(matches.ap50_95, slow.mean(axis=1), atol=1e-6)
 
 
 def test_without_detections_everything_is_missed_and_without_objects_there_is_no_figure() -> None:
@@ -414,28 +380,3 @@ def test_an_interval_holds_the_difference_in_most_data_sets() -> None:
         found = interval(samples, (float(first.mean()), float(second.mean())), 40)
         held += found.difference_low <= 0.1 <= found.difference_high
     assert 0.88 <= held / 200 <= 0.99
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "names",
-    [
-        pytest.param(("_hidden", "$x^", "猫", "a\nb\x1b[31m", "x" * 300), id="strange names"),
-        pytest.param(tuple(map(str, range(MAX_NAMED + 1))), id="many classes"),
-        pytest.param(tuple(map(str, range(MAX_NUMBERED + 5))), id="very many classes"),
-    ],
-)
-def test_curves_are_pictures(names: Sequence[str], tmp_path: Path) -> None:
-    evaluated = random_images(1, 40, classes=len(names))
-    matches = match(evaluated, names)
-    counts, confused = occurring(confusion_matrix(evaluated, matches, np.full(len(names), 0.3)), names)
-    files: dict[str, Any] = {name: tmp_path / name for name in ("pr.png", "f1.png", "confusion.png")}
-    draw_pr_curve(files["pr.png"], matches)
-    draw_f1_curve(files["f1.png"], matches, 0.25)
-    draw_confusion_matrix(
-        files["confusion.png"], (*confused, "no object"), (*confused, "nothing"), counts.tolist()
-    )
-    for file in files.values():
-        picture = cv2.imread(str(file))
-        assert min(picture.shape[:2]) > 400
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20

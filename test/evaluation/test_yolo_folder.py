@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import codecs
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +49,7 @@ class Told:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.steps: list[str] = []
-        self.problems = Problems(self.lines.append, progress=self.steps.append)
+        self.problems = Problems(self.lines.append)
 
     def read(self, data: Path, split: str | None = None, root: Path | None = None) -> LabelledFolder:
         return read_yolo_folder(data, self.problems, split=split, root=root)
@@ -135,10 +134,11 @@ def test_a_list_names_images_relative_to_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
-def test_a_list_and_a_description_may_have_a_byte_order_mark(encoding: str, tmp_path: Path) -> None:
+def test_texts_may_have_byte_order_marks_where_files_were_joined_too(encoding: str, tmp_path: Path) -> None:
     data = data_set(tmp_path / "data", None, "images/1")
     (data / "data.yaml").write_text(f"val: val.txt\n{NAMES}", encoding=encoding)
     (data / "val.txt").write_text("images/1.jpg\n", encoding=encoding)
+    (data / "labels" / "1.txt").write_text(f"\ufeff{BOX}", encoding=encoding)
     told = Told()
     assert (told.names(data), told.lines) == (["images/1.jpg"], [])
 
@@ -146,10 +146,13 @@ def test_a_list_and_a_description_may_have_a_byte_order_mark(encoding: str, tmp_
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        pytest.param(r"images\1.jpg", r"a path of Windows; type sed -i 's|\\|/|g' FILE", id="backslash"),
-        pytest.param("C:/a/images/1.jpg", "a path of Windows; make it relative to ", id="drive"),
-        pytest.param(r"C:\a\1.jpg", r"sed -i 's|\\|/|g' FILE; make it relative to ", id="both"),
+        pytest.param(
+            r"images\1.jpg", r"a path of Windows; type sed -i 's\|\\\\\|/\|g' FILE, ", id="backslash"
+        ),
+        pytest.param("C:/a/images/1.jpg", "make a path with a drive relative to ", id="drive"),
         pytest.param("../there.jpg", "; --root names the folder that may be read", id="outside"),
+        pytest.param("../missing.jpg", "lies outside of [^;]*$", id="outside and missing"),
+        pytest.param("/home/them/images/1.jpg", "lies outside of [^;]*$", id="of another computer"),
     ],
 )
 def test_a_line_of_a_list_that_names_nothing_here_says_what_helps(
@@ -159,17 +162,7 @@ def test_a_line_of_a_list_that_names_nothing_here_says_what_helps(
     (data / "val.txt").write_text(f"{line}\n")
     reader = Told()
     assert reader.names(data) == ["images/1.jpg"]
-    assert told in reader.lines[0]
-
-
-@pytest.mark.parametrize("line", ["../missing.jpg", "/home/them/images/1.jpg"])
-def test_the_root_is_not_advised_for_a_file_that_does_not_exist(line: str, tmp_path: Path) -> None:
-    data = data_set(tmp_path / "data", f"val: [val.txt, images]\n{NAMES}", "images/1")
-    (data / "val.txt").write_text(f"{line}\n")
-    reader = Told()
-    reader.read(data)
-    assert "lies outside of" in reader.lines[0]
-    assert "--root" not in reader.lines[0]
+    assert re.search(told, reader.lines[0])
 
 
 @pytest.mark.parametrize(
@@ -177,8 +170,6 @@ def test_the_root_is_not_advised_for_a_file_that_does_not_exist(line: str, tmp_p
     [
         pytest.param("names: {1: dog, 0: cat}", ("cat", "dog"), id="mapping in disorder"),
         pytest.param("names: [no, 1, 007, '2']", ("no", "1", "007", "2"), id="as they are written"),
-        pytest.param("names: [2024-01-02, = ]", ("2024-01-02", "="), id="what is neither text nor number"),
-        pytest.param("names: [1, '1']", ("1", "1"), id="number and text"),
         pytest.param("nc: 2", None, id="none"),
     ],
 )
@@ -203,7 +194,6 @@ def test_what_is_broken_is_listed_and_the_rest_is_read(tmp_path: Path) -> None:
     assert told.lines[0].startswith("broken labels: ")
     assert "labels/00.txt: line 1: expected a class from 0 to 1, found 7" in told.lines[0]
     assert told.lines[-1] == "further problems are only counted"
-    assert told.steps == ["looking for images", "labels: 0 of 20 images"]
 
 
 def aliases(depth: int) -> str:
@@ -220,7 +210,6 @@ def aliases(depth: int) -> str:
         pytest.param("names: " + "[" * 5000, "nested more than 20 deep", id="deep"),
         pytest.param("x: " + "x" * (1 << 21), "1048576 bytes, the limit", id="large"),
         pytest.param("[1, 2]", "expected names and values", id="list"),
-        pytest.param("just text", "expected names and values", id="text"),
         pytest.param("names: {0: cat, 10000: dog}", "numbered from 0 to 9999, found 10000", id="huge id"),
         pytest.param("names: [" + "x, " * 10_001 + "]", "of 0 to 10000 classes, found 10001", id="many"),
         pytest.param("names: [[cat]]", "strings or numbers, found a list", id="nested names"),
@@ -298,13 +287,6 @@ def test_a_label_file_of_too_many_lines_is_broken(text: str) -> None:
         parsed_labels(text * (MAX_LINES + 1), 1)
 
 
-def test_a_label_file_that_is_too_large_is_broken(tmp_path: Path) -> None:
-    path = tmp_path / "1.txt"
-    path.write_text(" " * (MAX_LABEL_BYTES + 1))
-    with pytest.raises(DataError, match="more than 4194304 bytes"):
-        label_text(path)
-
-
 @pytest.mark.parametrize(
     ("text", "class_ids", "corners"),
     [
@@ -355,31 +337,19 @@ def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> Non
 
 def test_the_number_of_objects_is_limited() -> None:
     lines = (f"0 0.5 0.5 0.2 {0.1 + number / 1e6}" for number in range(MAX_BOXES_PER_IMAGE + 1))
-    with pytest.raises(DataError, match="found 10001 objects in an image, more than 10000"):
+    with pytest.raises(DataError, match="the image: expected at most 10,000 objects, found 10,001"):
         parsed_labels("\n".join(lines), 1)
 
 
 def test_a_file_that_is_no_text_is_refused_and_a_missing_one_has_no_labels(tmp_path: Path) -> None:
     assert label_text(tmp_path / "missing.txt") is None
     (tmp_path / "bytes.txt").write_bytes(b"\xff\xfe0 0.5")
+    (tmp_path / "large.txt").write_text(" " * (MAX_LABEL_BYTES + 1))
     os.mkfifo(tmp_path / "pipe.txt")
     (tmp_path / "folder.txt").mkdir()
-    for name in ("bytes.txt", "pipe.txt", "folder.txt"):
+    for name in ("bytes.txt", "large.txt", "pipe.txt", "folder.txt"):
         with pytest.raises(DataError):
             label_text(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        pytest.param(codecs.BOM_UTF8 + b"1 0.5", id="UTF-8"),
-        pytest.param(b"1 " + codecs.BOM_UTF8 + b"0.5", id="joined files"),
-        pytest.param(codecs.BOM_UTF16_LE + "1 0.5".encode("utf-16-le"), id="UTF-16"),
-    ],
-)
-def test_a_byte_order_mark_is_no_part_of_a_label(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "1.txt").write_bytes(content)
-    assert label_text(tmp_path / "1.txt") == "1 0.5"
 
 
 FIELDS = st.one_of(

@@ -1,4 +1,4 @@
-"""The command `collected`: what a detector has collected, looked at, split and removed."""
+"""The command `collected`: what a detector has collected, looked at and split."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from support.candidates import CLASS_NAMES, add, candidate, frames_of, images_of, keep
+from support.candidates import CLASS_NAMES, frames_of, images_of, keep
 from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.collecting import collected_files
-from yolov5_lifecycle.collecting.candidate import Detail, Trigger
-from yolov5_lifecycle.collecting.collected_files import FRAMES, LABELS, file_of
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
@@ -120,23 +118,6 @@ def test_folders_whose_class_numbers_differ_do_not_become_one(tmp_path: Path) ->
     assert not (tmp_path / "all").exists()
 
 
-@pytest.mark.parametrize("linked", ["{image}", "{labels}", "{record}", FRAMES])
-def test_a_folder_with_a_link_is_refused_and_nothing_behind_it_read(
-    tmp_path: Path, linked: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    robot = collected(tmp_path / "robot", 1, 1)
-    image = images_of(robot)[0].path
-    inner = robot / linked.format(image=image, labels=file_of(image, LABELS), record=file_of(image, FRAMES))
-    inner.rename(tmp_path / "outside")
-    inner.symlink_to(tmp_path / "outside")
-    before = sorted(tmp_path.rglob("*"))
-    commands = ("show", "split", "remove --session nothing")
-    for action, *options in map(str.split, commands):
-        assert run(action, robot, *options) == 1
-        assert "found a link; replace it by a copy" in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
-
-
 def test_records_that_are_too_large_together_are_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,36 +131,12 @@ def test_many_sessions_are_handled_before_a_cost_with_their_square_would_end() -
     assert len(validation_sessions(Counter(many), 0.2)) == len(many) // 4
 
 
-def test_images_of_a_session_or_of_a_reason_are_removed(tmp_path: Path) -> None:
-    folder = collected(tmp_path / "robot", 2, 3)
-    with closing(CollectedFolder(folder, QUOTA)) as into:
-        add(into, candidate(9, reasons={Trigger.CLASS: Detail(""), Trigger.NOVEL: Detail("")}))
-    first, *_ = sessions(folder)
-    assert run("remove", folder, "--session", first) == 0
-    assert len(frames_of(folder)) == 4
-    assert run("remove", folder, "--reason", "class") == 0
-    (left,) = frames_of(folder)
-    assert {*left.reasons} == {"class", "novel"}
-    assert len(list(folder.rglob("*.jpg"))) == len(list(folder.rglob("*.txt"))) == 1
-
-
-def test_nothing_is_removed_while_a_detector_collects(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = collected(tmp_path / "robot", 2)
-    with closing(CollectedFolder(folder, QUOTA)):
-        assert run("remove", folder, "--reason", "class") == 1
-    assert "another process" in capsys.readouterr().err
-    assert len(frames_of(folder)) == 2
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["split", "one session"], "at least two sessions, found 1"),
         (["split", "nameless"], "data.yaml is missing"),
         (["show", "missing"], "expected the collect_dir of a detector"),
-        (["remove", "."], "remove needs --session or --reason"),
         (["split", ".", "--share", "1"], "between 0 and 1"),
         ([], "ACTION"),
     ],

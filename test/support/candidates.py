@@ -46,13 +46,12 @@ def rules(**changes: Any) -> CollectRules:
     return replace(usual, **changes)
 
 
-def found(*objects: tuple[str, float, tuple[float, ...]], ids: tuple[str, ...] = ()) -> Detections:
+def found(*objects: tuple[str, float, tuple[float, ...]]) -> Detections:
     """Detections from class name, score and box each, highest score first."""
     return Detections(
         np.array([box for *_, box in objects], np.float32).reshape(-1, 4),
         np.array([score for _, score, _ in objects], np.float32),
         np.array([CLASS_NAMES.index(name) for name, *_ in objects], np.int64),
-        track_ids=ids,
     )
 
 
@@ -86,7 +85,6 @@ def candidate(seed: int = 0, **changes: Any) -> Candidate:
     pixels = np.random.default_rng(seed).integers(0, 255, (*SIZE_HW, 3)).astype(np.uint8)
     usual = Candidate(
         image=ColourImage(pixels, "bgr"),
-        received_jpeg=None,
         detections=CAT,
         embedding=look_of(seed),
         origin=Origin("optical_frame", 12, 34),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import re
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -220,11 +220,6 @@ def read_class_names(folder: Path, *, is_used: bool) -> tuple[str, ...]:
             "another folder"
         )
     return names
-
-
-def with_names(known: Sequence[str], names: Iterable[str]) -> tuple[str, ...]:
-    """`known`, followed by those of `names` that are not among them."""
-    return tuple(dict.fromkeys((*known, *names)))
 
 
 def write_description(

@@ -27,7 +27,6 @@ from yolov5_lifecycle.collecting.collected_files import (
     kept_images,
     read_class_names,
     recorded_images,
-    with_names,
     write_description,
 )
 from yolov5_lifecycle.collecting.descriptors import KeptDescriptors
@@ -120,7 +119,7 @@ class CollectedFolder:
 
         Raises CollectingError beyond MAX_CLASSES classes or if the disk is another one, and OSError.
         """
-        names = with_names(self.class_names, class_names)
+        names = tuple(dict.fromkeys((*self.class_names, *class_names)))
         if len(names) > MAX_CLASSES:
             raise CollectingError(
                 f"{self._path}: has more than {MAX_CLASSES} classes; use another collect_dir"

@@ -1,1 +1,1 @@
-"""How good a model is on labelled images: ground truth, matching, figures, curves and reports."""
+"""How good a model is on labelled images: ground truth, matching and figures."""

@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import from_json
 
 from yolov5_lifecycle.evaluation.ground_truth import (
+    MAX_BOXES_PER_IMAGE,
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
@@ -20,7 +21,6 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Labels,
     Problems,
     absolute,
-    check_box_count,
     check_count,
     confined_path,
     read_data_file,
@@ -74,7 +74,6 @@ def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) 
     there `images` and the folder of the split, such as `val2017` for `instances_val2017.json`. Problems with
     single records are added to `problems`. Raises DataError if nothing is left or a limit is exceeded.
     """
-    problems.progress("reading the COCO file")
     content = _content(path)
     categories = _by_id(_Category, content["categories"], "categories", problems)
     try:
@@ -182,7 +181,7 @@ def _objects(
         elif image_id not in broken:
             try:
                 objects[image_id].append(_object(record, class_ids))
-                check_box_count(len(objects[image_id]))
+                check_count("the image", "objects", len(objects[image_id]), MAX_BOXES_PER_IMAGE)
             except ValueError as error:
                 problems.add("broken labels", where, _reason(error))
                 broken.add(image_id)

@@ -28,7 +28,7 @@ SHARE = 0.95
 """Share of the resamples that lie within an interval."""
 MIN_IMAGES = 10
 """With fewer images there is no verdict."""
-RECALLS = np.linspace(0.0, 1.00, int(np.round((1.00 - 0.0) / 0.01)) + 1, endpoint=True)
+_RECALLS = np.linspace(0.0, 1.00, int(np.round((1.00 - 0.0) / 0.01)) + 1, endpoint=True)
 """As in pycocotools."""
 MAX_ELEMENTS = 4_000_000
 """Maximum size of an array: resamples are computed in portions."""
@@ -284,6 +284,6 @@ def _average_precision(
     hits = np.cumsum(right, axis=0, dtype=np.int32)
     best = np.maximum.accumulate((hits / (counted + _TINY))[::-1], axis=0)[::-1]
     # A recall that pycocotools asks for counts at the first detection that reaches it.
-    reached = np.searchsorted(RECALLS, share(hits, objects), side="right")
+    reached = np.searchsorted(_RECALLS, share(hits, objects), side="right")
     steps = np.diff(reached, axis=0, prepend=0)
-    return np.where(objects > 0, (best * steps).sum(axis=0) / len(RECALLS), np.nan)
+    return np.where(objects > 0, (best * steps).sum(axis=0) / len(_RECALLS), np.nan)

@@ -30,12 +30,7 @@ _MAX_SHOWN = 300
 _MAX_PATH = 100
 _OF_WINDOWS = re.compile(r"\\|^[A-Za-z]:/")
 
-Kind = Literal[
-    "broken labels",
-    "unusable images",
-    "failed images",
-    "unusable entries",
-]
+Kind = Literal["broken labels", "unusable images", "failed images", "unusable entries"]
 
 
 class DataError(ValueError):
@@ -50,12 +45,6 @@ def check_count(
         raise DataError(f"{where}: expected at most {limit:,} {what}, found {count:,} or more: {remedy}.")
 
 
-def check_box_count(count: int) -> None:
-    """Raise DataError if an image has more than MAX_BOXES_PER_IMAGE objects."""
-    if count > MAX_BOXES_PER_IMAGE:
-        raise DataError(f"found {count} objects in an image, more than {MAX_BOXES_PER_IMAGE}")
-
-
 def read_data_file(path: Path, max_bytes: int) -> bytes:
     """The content of a text file of a data set, see `read_text_file`; raises DataError, which names it."""
     try:
@@ -65,17 +54,11 @@ def read_data_file(path: Path, max_bytes: int) -> bytes:
 
 
 class Problems:
-    """Counts what cannot be used and calls `tell` with the first problems, one line each.
+    """Counts what cannot be used and calls `tell` with the first problems, one line each."""
 
-    `progress` is called with what is being read, such as `labels: 3000 of 5000 images`.
-    """
-
-    def __init__(
-        self, tell: Callable[[str], None], *, progress: Callable[[str], None] = lambda _: None
-    ) -> None:
+    def __init__(self, tell: Callable[[str], None]) -> None:
         self.counts: Counter[Kind] = Counter()
         self.first: list[str] = []
-        self.progress = progress
         self._tell = tell
 
     def add(self, kind: Kind, where: object, reason: object) -> None:
@@ -166,9 +149,10 @@ def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
     shown = in_one_line(text, _MAX_PATH)
     if _OF_WINDOWS.search(text) and not _exists(path):
         backslash = r"\\" if base else r"\\\\"  # JSON has each twice
-        slashes = f"; type sed -i 's|{backslash}|/|g' FILE" if "\\" in text else ""
-        drive = f"; make it relative to {base or root}" if text[1:2] == ":" else ""
-        raise DataError(f"'{shown}' is a path of Windows{slashes}{drive}")
+        raise DataError(
+            f"'{shown}' is a path of Windows; type sed -i 's|{backslash}|/|g' FILE, and make a path with a "
+            f"drive relative to {base or root}"
+        )
     if not path.is_relative_to(root):
         # What is relative to the root leaves every root.
         is_helped = (base is not None or Path(text).is_absolute()) and _exists(path)

@@ -126,18 +126,10 @@ class Matches:
     """(d,) where the object that it matches at IoU 0.5 is among those of all images, if it is right."""
     objects: NDArray[np.int64]
     """(classes, images) numbers of objects, without crowds."""
-    precision: NDArray[np.float64]
-    """(10, 101, classes): the best precision at a recall of at least 0, 0.01, ..., 1; -1 without objects."""
-
-    @property
-    def ap50(self) -> NDArray[np.float64]:
-        """(classes,) average precision at IoU 0.5; NaN for a class without objects."""
-        return _average(self.precision[:1])
-
-    @property
-    def ap50_95(self) -> NDArray[np.float64]:
-        """(classes,) average precision, mean of IoU 0.5 to 0.95; NaN for a class without objects."""
-        return _average(self.precision)
+    ap50: NDArray[np.float64]
+    """(classes,) average precision at IoU 0.5; NaN for a class without objects."""
+    ap50_95: NDArray[np.float64]
+    """(classes,) average precision, mean of IoU 0.5 to 0.95; NaN for a class without objects."""
 
     def of_class(self, class_id: int) -> slice:
         """Its rows."""
@@ -160,6 +152,9 @@ def match(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> Match
         for result in evaluation.evalImgs  # sorted by class, then by image
     ]
     order = np.lexsort((-scores, class_ids))
+    # (10 IoU thresholds, 101 recalls, classes): -1 for a class without objects.
+    precision = evaluation.eval["precision"][:, :, :, 0, 0]
+    precision = np.where(precision < 0, np.nan, precision)
     return Matches(
         tuple(class_names),
         class_ids[order],
@@ -170,7 +165,8 @@ def match(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> Match
         rows=rows[order],
         targets=matched[0, order] - 1,
         objects=np.array(objects, np.int64).reshape(len(class_names), len(images)),
-        precision=np.asarray(evaluation.eval["precision"][:, :, :, 0, 0], np.float64),
+        ap50=precision[0].mean(axis=0),
+        ap50_95=precision.mean(axis=(0, 1)),
     )
 
 
@@ -245,9 +241,3 @@ def _joined(
 ) -> NDArray[np.float64]:
     """The column `name` of COCOeval's results, one after the other."""
     return np.concatenate([nothing, *(np.asarray(result[name]) for result in results)], axis=-1)
-
-
-def _average(precision: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Mean over IoU thresholds and recalls of each class; NaN where it is -1."""
-    means: NDArray[np.float64] = precision.mean(axis=(0, 1))
-    return np.where(precision[0, 0] < 0, np.nan, means)

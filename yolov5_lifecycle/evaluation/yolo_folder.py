@@ -26,7 +26,6 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Labels,
     Problems,
     absolute,
-    check_box_count,
     check_count,
     confined_path,
     read_data_file,
@@ -50,8 +49,6 @@ MAX_LINES = 2 * MAX_BOXES_PER_IMAGE
 _TOLERANCE = 1e-4
 """How far outside of the image a fraction may be, as tools round."""
 _MIN_POLYGON_FIELDS = 7
-_PROGRESS_PERIOD = 500
-"""Images between two reports of the progress."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,6 @@ def read_yolo_folder(
     description = read_description(description_path) if description_path else DataDescription()
     folder = absolute(description_path.parent if description_path else data)
     reader = _Reader(folder, absolute(root) if root else folder, problems)
-    problems.progress("looking for images")
     wanted = _entries(description, data, split)
     paths = reader.images(wanted, description.folder)
     if not paths:
@@ -228,9 +224,7 @@ class _Reader:
 
     def labelled(self, paths: Sequence[Path], class_count: int) -> Iterator[LabelledPath]:
         """The images with their labels, none if there is no label file; without those with broken ones."""
-        for number, path in enumerate(paths):
-            if number % _PROGRESS_PERIOD == 0:
-                self._problems.progress(f"labels: {number} of {len(paths)} images")
+        for path in paths:
             label_path = _label_path(path, self.root)
             text: str | None = ""
             try:
@@ -300,7 +294,7 @@ def parsed_labels(text: str, class_count: int) -> Labels:
                 boxes[_object(fields, class_count)] = None
         except DataError as error:
             raise DataError(f"line {number}: {error}") from None
-    check_box_count(len(boxes))
+    check_count("the image", "objects", len(boxes), MAX_BOXES_PER_IMAGE)
     return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
 
 

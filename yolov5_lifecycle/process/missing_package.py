@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from yolov5_lifecycle.printable import in_one_line, shell_command
 
 _MODULES = (
-    *("annotated_types", "apsw", "h11", "lz4", "matplotlib", "numpy", "onnx", "onnxruntime", "openvino"),
+    *("annotated_types", "apsw", "h11", "lz4", "numpy", "onnx", "onnxruntime", "openvino"),
     *("prometheus_client", "pycocotools", "pydantic", "pydantic_core", "rosbags"),
     *("safetensors", "scipy", "starlette", "torch", "uvicorn", "websockets"),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from yolov5_lifecycle.offline.calibrate.calibration_images import (
     fitted,
     of_one_size,
 )
-from yolov5_lifecycle.offline.calibrate.command import main, report, verdict
+from yolov5_lifecycle.offline.calibrate.command import main, report
 from yolov5_lifecycle.offline.calibrate.measuring import Measurement, Worth, agreement
 from yolov5_lifecycle.offline.image_files import VideoFrame
 from yolov5_lifecycle.quantization.calibration_file import path_beside, read_calibration
@@ -87,17 +88,17 @@ def detections(*boxes: tuple[int, int, int]) -> Detections:
 
 
 @pytest.mark.parametrize(
-    ("truth", "found", "f1", "box_iou"),
+    ("truth", "found", "f1"),
     [
-        pytest.param(detections((0, 0, 1)), detections((0, 0, 1)), 1.0, 1.0, id="the same"),
-        pytest.param(detections((0, 0, 1)), detections((0, 0, 2)), 0.0, 0.0, id="another class"),
-        pytest.param(detections((0, 0, 1)), detections((2, 0, 1)), 1.0, 2 / 3, id="shifted"),
-        pytest.param(detections((0, 0, 1)), detections((0, 0, 1), (0, 1, 1)), 2 / 3, 1.0, id="found twice"),
-        pytest.param(detections(), detections(), 1.0, 0.0, id="nothing to find"),
+        pytest.param(detections((0, 0, 1)), detections((0, 0, 2)), 0.0, id="another class"),
+        pytest.param(detections((0, 0, 1)), detections((3, 0, 1)), 1.0, id="an IoU of 0.54"),
+        pytest.param(detections((0, 0, 1)), detections((4, 0, 1)), 0.0, id="an IoU of 0.43"),
+        pytest.param(detections((0, 0, 1)), detections((0, 0, 1), (0, 1, 1)), 2 / 3, id="found twice"),
+        pytest.param(detections(), detections(), 1.0, id="nothing to find"),
     ],
 )
-def test_agreement_counts_pairs(truth: Detections, found: Detections, f1: float, box_iou: float) -> None:
-    assert agreement([truth], [found]) == pytest.approx((f1, box_iou))
+def test_agreement_counts_pairs(truth: Detections, found: Detections, f1: float) -> None:
+    assert agreement([truth], [found]) == pytest.approx(f1)
 
 
 @pytest.fixture(scope="module")
@@ -159,8 +160,6 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
         pytest.param(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"
         ),
-        pytest.param(["best.safetensors", "images", "-o", "gone/a.json"], "create it first", id="no folder"),
-        pytest.param(["best.safetensors", "images", "-o", "empty"], "found a folder", id="folder"),
         pytest.param(["best.safetensors", "best.safetensors"], "best.safetensors", id="weights as data"),
     ],
 )
@@ -184,32 +183,22 @@ def test_what_cannot_be_calibrated_is_refused_and_nothing_is_written(
 @pytest.mark.long
 @needs_openvino
 def test_an_interrupted_calibration_writes_nothing(folder: Path, tmp_path: Path) -> None:
-    output = tmp_path / "best.calibration.json"
-    paths = [str(folder / "best.safetensors"), str(folder / "images"), "-o", str(output)]
+    weights = Path(shutil.copy(folder / "best.safetensors", tmp_path))
+    paths = [str(weights), str(folder / "images")]
     with ChildProcess("calibrate", [entry_point("calibrate"), *paths], os.environ) as process:
         process.wait_for_output("broken.png: rejected", 60)
         assert process.stop(signal.SIGINT) == 130
     assert "interrupted; unfinished output was removed" in process.output
     assert "Traceback" not in process.output
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("value", ["0", "2001", "many"])
-def test_a_number_of_images_that_makes_no_sense_is_refused(
-    value: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["best.pt", "images", "--images", value])
-    assert end.value.code == 2
-    assert "from 1 to 2000" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [weights]
 
 
 def worth(int8_ms: float, f1: float = 0.99, *, saved: float = 3.0, detections: int = 50) -> Worth:
     """fp32 takes 26 and 20 ms; `saved`: processor time of fp32 / that of int8."""
     measured = (
-        Measurement("openvino", "fp32", Taken(26.0, 70.0), 1.0, 1.0),
-        Measurement("openvino", "int8", Taken(int8_ms, 60.0 / saved), f1, 0.97),
-        Measurement("onnxruntime", "fp32", Taken(20.0, 60.0), 1.0, 1.0),
+        Measurement("openvino", "fp32", Taken(26.0, 70.0), 1.0),
+        Measurement("openvino", "int8", Taken(int8_ms, 60.0 / saved), f1),
+        Measurement("onnxruntime", "fp32", Taken(20.0, 60.0), 1.0),
     )
     return Worth(measured, detections)
 
@@ -235,15 +224,15 @@ def worth(int8_ms: float, f1: float = 0.99, *, saved: float = 3.0, detections: i
     ],
 )
 def test_the_verdict_is_the_line_to_type_or_why_not(measured: Worth, told: str) -> None:
-    assert verdict(measured, 320).startswith(told)
-    assert verdict(measured, 320).endswith(("precision int8", "Keep precision auto, which is fp32 on a CPU."))
+    assert measured.verdict(320).startswith(told)
+    assert measured.verdict(320).endswith(("precision int8", "Keep precision auto, which is fp32 on a CPU."))
 
 
 def test_the_report_has_a_row_for_each_runtime_and_precision(tmp_path: Path) -> None:
     lines = report(a_calibration(), worth(10.0), tmp_path).splitlines()
     assert [line.split()[-2:] for line in lines[1:4]] == [
-        ["1.000", "1.000"],
-        ["0.990", "0.970"],
-        ["1.000"] * 2,
+        ["70.0", "1.000"],
+        ["20.0", "0.990"],
+        ["60.0", "1.000"],
     ]
     assert "layers      1 in int8, 1 and the last one in fp32" in lines

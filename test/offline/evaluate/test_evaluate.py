@@ -32,14 +32,7 @@ from yolov5_lifecycle.settings.parameter_file import read_parameter_file
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
-FILES = [
-    "confusion_matrix.png",
-    "detections.json",
-    "f1_curve.png",
-    "ground_truth.json",
-    "pr_curve.png",
-    "report.json",
-]
+FILES = ["detections.json", "ground_truth.json", "report.json"]
 
 
 @pytest.fixture(scope="module")
@@ -62,16 +55,7 @@ def test_the_embedded_model_finds_the_shapes(data: Path, capsys: pytest.CaptureF
     assert error == ""
     lines = output.splitlines()
     head = next(number for number, line in enumerate(lines) if line.startswith("class "))
-    assert lines[head].split() == [
-        "class",
-        "images",
-        "objects",
-        "precision",
-        "recall",
-        "F1",
-        "mAP@50",
-        "mAP@50:95",
-    ]
+    assert " ".join(lines[head].split()) == "class images objects precision recall F1 mAP@50 mAP@50:95"
     cells = {line.split()[0]: line.split()[1:] for line in lines[head + 1 : head + 6]}
     assert list(cells) == ["all", *CLASS_NAMES]
     precision, recall, f1, ap50, ap50_95 = map(float, cells["all"][2:])
@@ -196,18 +180,15 @@ def test_classes_are_compared_by_name(data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("module", "words", "status"),
-    [("rosbags", [], 0), ("pycocotools", [], 1), ("matplotlib", ["--output", "out"], 1)],
-)
+@pytest.mark.parametrize(("module", "status"), [("rosbags", 0), ("pycocotools", 1)])
 def test_a_missing_package_is_named_with_the_remedy_where_it_is_needed(
-    module: str, words: list[str], status: int, data: Path, tmp_path: Path
+    module: str, status: int, data: Path, tmp_path: Path
 ) -> None:
     program = (
         f"import sys; sys.modules[{module!r}] = None; "
         "from yolov5_lifecycle.commands.entry_points import evaluate; evaluate()"
     )
-    command = [sys.executable, "-c", program, WEIGHTS, str(data), *FAST, *words]
+    command = [sys.executable, "-c", program, WEIGHTS, str(data), *FAST]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ended.returncode == status
     assert (f"-m pip install {module}" in ended.stderr) is (status == 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME
 
 _EPILOG = """\
@@ -35,21 +35,7 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="DATA",
         help="images like those that the camera will see; see below",
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        metavar="FILE",
-        help="file to write or replace (default: WEIGHTS with the ending .calibration.json)",
-    )
     parser.add_argument("--topic", help="image topic of a recording (default: the only one)")
-    parser.add_argument(
-        "--images",
-        type=count_up_to(2000, "images"),
-        default=200,
-        metavar="N",
-        help="use at most N images (default: %(default)s)",
-    )
     parser.add_argument(
         "--image-size",
         type=int,
@@ -57,12 +43,11 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="PIXELS",
         help="longer side of the network input, like the setting image_size (default: %(default)s)",
     )
-    for name in ("confidence_threshold", "iou_threshold"):
-        parser.add_argument(
-            f"--{name.replace('_', '-')}",
-            type=float,
-            default=SETTINGS_BY_NAME[name].default,
-            metavar="SHARE",
-            help="like the setting of the same name (default: %(default)s)",
-        )
+    parser.add_argument(
+        "--confidence-threshold",
+        type=float,
+        default=SETTINGS_BY_NAME["confidence_threshold"].default,
+        metavar="SHARE",
+        help="like the setting of the same name (default: %(default)s)",
+    )
     return parser

@@ -30,6 +30,7 @@ from yolov5_lifecycle.settings.settings import validated
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
 _COMMAND = "calibrate"
+_MAX_IMAGES = 200
 _MAX_PATH = 4096
 
 
@@ -45,11 +46,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def report(calibration: Calibration, worth: Worth, path: Path) -> str:
     """Summary for the user."""
-    lines = [f"{'':24}{'ms per image':>14}{'processor ms':>14}{'agreement F1':>14}{'box IoU':>10}"]
+    lines = [f"{'':24}{'ms per image':>14}{'processor ms':>14}{'agreement F1':>14}"]
     for each in worth.measured:
         times = f"{each.taken.wall_ms:14.1f}{each.taken.processor_ms:14.1f}"
         name = f"{each.precision} in {each.runtime}"
-        lines.append(f"{name:24}{times}{each.f1:14.3f}{each.box_iou:10.3f}")
+        lines.append(f"{name:24}{times}{each.f1:14.3f}")
     layers, kept = len(calibration.ranges), len(calibration.fp32_layers)
     return "\n".join(
         (
@@ -58,18 +59,10 @@ def report(calibration: Calibration, worth: Worth, path: Path) -> str:
             f"layers      {layers - kept} in int8, {kept} and the last one in fp32",
             f"processor   {', '.join(abilities())}",
             f"written     {in_one_line(str(path), _MAX_PATH)}",
-            verdict(worth, calibration.image_size),
+            worth.verdict(calibration.image_size),
             "",
         )
     )
-
-
-def verdict(worth: Worth, image_size: int) -> str:
-    """Whether int8 pays, and the line to type."""
-    pays, reason = worth.verdict()
-    if not pays:
-        return f"int8 does not pay: {reason}. Keep precision auto, which is fp32 on a CPU."
-    return f"int8 pays: {reason}. With image_size {image_size}, type: ros2 param set /yolov5 precision int8"
 
 
 def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
@@ -79,17 +72,16 @@ def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
             f"int8 runs in OpenVINO, which is not installed. Install it with {sys.executable} -m pip install "
             "openvino onnx"
         )
-    names = ("image_size", "confidence_threshold", "iou_threshold")
+    names = ("image_size", "confidence_threshold")
     settings = validated({name: getattr(arguments, name) for name in names})
     if not arguments.data.exists():
         raise FileNotFoundError(f"{arguments.data}: file or folder not found")
     weights = load_weights(arguments.weights)
-    path: Path = arguments.output or path_beside(weights.path)
-    _check_output(path)
+    path = path_beside(weights.path)
+    if not os.access(path.parent, os.W_OK):
+        raise PermissionError(f"{path.parent}: not writable; copy the weights into a folder of yours")
     images = _images(arguments, weights.model.architecture, terminal)
-    selection = Selection(
-        confidence_threshold=settings.confidence_threshold, iou_threshold=settings.iou_threshold
-    )
+    selection = Selection(confidence_threshold=settings.confidence_threshold)
     calibrating = Calibrating(weights.model, images, selection=selection, tell=terminal.begin)
     quantization = calibrating.quantization()
     worth = calibrating.worth(quantization)
@@ -108,18 +100,8 @@ def _images(
     return read_calibration_images(
         arguments.data,
         arguments.topic,
-        arguments.images,
+        _MAX_IMAGES,
         partial(fitted, image_size=arguments.image_size, stride=stride),
         lost=lambda label, error: terminal.lost(label, Outcome.REJECTED, error),
         seen=lambda count: terminal.begin(f"reading: {count} images"),
     )
-
-
-def _check_output(path: Path) -> None:
-    """Raise OSError if no file can be written at `path`."""
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path.parent}: folder not found; create it first")
-    if path.is_dir():
-        raise IsADirectoryError(f"{path}: expected a file to write, found a folder")
-    if not os.access(path.parent, os.W_OK):
-        raise PermissionError(f"{path.parent}: not writable; choose another folder with -o")

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 import torch
 
 from yolov5_lifecycle.detection.detections import Detections
@@ -47,7 +46,6 @@ class Measurement:
     taken: Taken
     """For an image, the median."""
     f1: float
-    box_iou: float
     """See `agreement`."""
 
 
@@ -59,34 +57,29 @@ class Worth:
     detections: int
     """Detections of fp32 in the compared images; the fewer, the less is known."""
 
-    def verdict(self) -> tuple[bool, str]:
-        """Whether int8 pays, and the reason: it must be good, and faster than the fastest fp32."""
+    def verdict(self, image_size: int) -> str:
+        """Whether int8 pays: it must be good, and faster than the fastest fp32. With the line to type."""
         (int8,) = (each for each in self.measured if each.precision == "int8")
         in_fp32 = (each for each in self.measured if each.precision == "fp32")
-        fp32 = min(in_fp32, key=lambda each: each.taken.wall_ms)
-        if problem := self._problem(int8.f1):
-            return False, problem
-        speedup = fp32.taken.wall_ms / int8.taken.wall_ms
-        saving = fp32.taken.processor_ms / int8.taken.processor_ms
+        fp32 = min((each.taken for each in in_fp32), key=lambda taken: taken.wall_ms)
+        speedup, saving = fp32.wall_ms / int8.taken.wall_ms, fp32.processor_ms / int8.taken.processor_ms
         told = (
             f"int8 is {speedup:.2f} x as fast as fp32 here ({int8.taken.wall_ms:.1f} ms, not "
-            f"{fp32.taken.wall_ms:.1f}; {saving:.2f} x by processor time) and agrees with it to "
-            f"{int8.f1:.3f} (F1)"
+            f"{fp32.wall_ms:.1f}; {saving:.2f} x by processor time) and agrees with it to {int8.f1:.3f} (F1)"
         )
-        if min(speedup, saving) < MIN_SPEEDUP:
-            return False, f"{told}; it pays from {MIN_SPEEDUP:g} x by both times"
-        return True, told
-
-    def _problem(self, f1: float) -> str:
-        """Why int8 is not known to be good, or ""."""
         if self.detections < MIN_DETECTIONS:
-            return (
+            problem = (
                 f"only {self.detections} detections were compared with fp32, which is less than "
                 f"{MIN_DETECTIONS}: calibrate with other or more images"
             )
-        if f1 < MIN_AGREEMENT:
-            return f"int8 agrees with fp32 to {f1:.3f} (F1), which is less than {MIN_AGREEMENT:g}"
-        return ""
+        elif int8.f1 < MIN_AGREEMENT:
+            problem = f"int8 agrees with fp32 to {int8.f1:.3f} (F1), which is less than {MIN_AGREEMENT:g}"
+        elif min(speedup, saving) < MIN_SPEEDUP:
+            problem = f"{told}; it pays from {MIN_SPEEDUP:g} x by both times"
+        else:
+            line = "ros2 param set /yolov5 precision int8"
+            return f"int8 pays: {told}. With image_size {image_size}, type: {line}"
+        return f"int8 does not pay: {problem}. Keep precision auto, which is fp32 on a CPU."
 
 
 def measured(
@@ -109,7 +102,7 @@ def measured(
             times.append(time_taken(partial(_detect, detector, image, selection, detections)))
         tell(f"measuring: {number + 1} of {len(images)} images")
     measurements = [
-        Measurement(*name, median(times), *agreement(found[0], others))
+        Measurement(*name, median(times), agreement(found[0], others))
         for name, times, others in zip(detectors, taken, found, strict=True)
     ]
     return measurements, sum(map(len, found[0]))
@@ -119,21 +112,21 @@ def _detect(detector: Detector, image: ColourImage, selection: Selection, found:
     found.append(detector.detect(image, selection))
 
 
-def agreement(truth: Sequence[Detections], found: Sequence[Detections]) -> tuple[float, float]:
-    """F1 of what was found in each image, and the mean IoU of the pairs, 0 without any.
+def agreement(truth: Sequence[Detections], found: Sequence[Detections]) -> float:
+    """F1 of what was found in each image, 1 if there is nothing.
 
-    Pairs are of one class and an IoU of at least 0.5, the best found first. F1 is 1 if there is nothing.
+    Pairs are of one class and an IoU of at least 0.5, the best found first.
     """
-    ious: list[float] = []
+    pairs = 0
     for true, other in zip(truth, found, strict=True):
         free = iou_matrix(other.boxes_xyxy, true.boxes_xyxy)
         free[other.class_ids[:, None] != true.class_ids] = 0
         for row in free:
             if row.max(initial=0) >= _SMALLEST_IOU:
-                ious.append(float(row.max()))
+                pairs += 1
                 free[:, row.argmax()] = 0
     total = sum(map(len, truth)) + sum(map(len, found))
-    return 2 * len(ious) / total if total else 1.0, float(np.mean(ious)) if ious else 0.0
+    return 2 * pairs / total if total else 1.0
 
 
 class Calibrating:
@@ -161,7 +154,7 @@ class Calibrating:
         self._tell("comparing int8 with fp32")
         whole = Quantization(read, frozenset(), self._bits)
         truth = self._detections(self._detector(COARSE_RUNTIME, "fp32"))
-        f1, _ = agreement(truth, self._detections(self._detector(COARSE_RUNTIME, "int8", whole)))
+        f1 = agreement(truth, self._detections(self._detector(COARSE_RUNTIME, "int8", whole)))
         kept = [] if f1 >= _GOOD_AGREEMENT else order[: round(_FP32_SHARE * len(order))]
         return Quantization(read, frozenset(kept), self._bits)
 

@@ -1,1 +1,1 @@
-"""The command `collected`: what a detector has collected, looked at, split and removed."""
+"""The command `collected`: what a detector has collected, looked at and split."""

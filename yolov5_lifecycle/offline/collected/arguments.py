@@ -10,9 +10,7 @@ from yolov5_lifecycle.commands.command_line import CommandParser
 
 def command_parser() -> argparse.ArgumentParser:
     """The argument parser of the command; every action has a `folder`."""
-    parser = CommandParser(
-        "collected", description="Show, split and clear out what a detector has collected."
-    )
+    parser = CommandParser("collected", description="Show and split what a detector has collected.")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
 
     def action(name: str, told: str) -> argparse.ArgumentParser:
@@ -28,11 +26,6 @@ def command_parser() -> argparse.ArgumentParser:
         default=0.2,
         metavar="SHARE",
         help="about this share of the images is for validation; default: %(default)s",
-    )
-    remove = action("remove", "remove images, while no detector collects into the folder")
-    remove.add_argument("--session", action="append", default=[], help="those of this session")
-    remove.add_argument(
-        "--reason", action="append", default=[], help="those that were kept for no other reason than these"
     )
     return parser
 

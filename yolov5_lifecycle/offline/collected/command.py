@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 
 from yolov5_lifecycle.collecting.collected_files import (
     FRAMES,
@@ -15,31 +14,27 @@ from yolov5_lifecycle.collecting.collected_files import (
     read_class_names,
     write_description,
 )
-from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
 from yolov5_lifecycle.offline.collected.arguments import command_parser
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
 
 _COMMAND = "collected"
-_NO_LIMIT = Quota(max_bytes=1 << 62, max_frames=1 << 62, min_free_bytes=0)
 SPLIT = "split.yaml"
 _TOLERANCE = 1.25
 """Sessions for validation have at most so many times the share that was asked for."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = command_parser()
-    arguments = parser.parse_args(argv)
-    if arguments.action == "remove" and not (arguments.session or arguments.reason):
-        parser.error("remove needs --session or --reason")
+    arguments = command_parser().parse_args(argv)
     try:
         folder = arguments.folder
         if not (folder / FRAMES).is_dir():
             raise CollectingError(
                 f"{folder}: expected the collect_dir of a detector, found no {FRAMES} in it"
             )
-        return write_output(_COMMAND, _ACTIONS[arguments.action](arguments))
+        action = _show if arguments.action == "show" else _split
+        return write_output(_COMMAND, action(arguments))
     except (CollectingError, OSError) as error:
         complain(_COMMAND, in_one_line(str(error)))
         return 1
@@ -94,26 +89,3 @@ def validation_sessions(counts: Counter[str], share: float) -> list[str]:
             chosen.append(session)
             left -= counts[session]
     return sorted(chosen or by_size[-1:])
-
-
-def _remove(arguments: argparse.Namespace) -> str:
-    path = arguments.folder
-    reasons, sessions = {*arguments.reason}, {*arguments.session}
-    with closing(CollectedFolder(path, _NO_LIMIT)) as folder:
-        count = len(folder)
-        leaving = [
-            kept.path
-            for kept, frame in kept_images(path)
-            if (not sessions or kept.session in sessions)
-            and (not reasons or reasons.issuperset(frame.reasons))
-        ]
-        for image in leaving:
-            folder.remove(image)
-    return f"{path}: {len(leaving)} of {count} images removed\n"
-
-
-_ACTIONS: Mapping[str, Callable[[argparse.Namespace], str]] = {
-    "show": _show,
-    "split": _split,
-    "remove": _remove,
-}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 
 from yolov5_lifecycle.commands.command_line import CommandParser
@@ -25,20 +24,6 @@ examples:
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class DataOptions:
-    """How to read images: see `add_data_options`; `topic` is the image topic of a recording."""
-
-    split: str | None = None
-    root: Path | None = None
-    topic: str | None = None
-
-    def useless(self, kind: str) -> list[str]:
-        """The given options that do not apply to data sets of this `kind`."""
-        of_kind = {"YOLO": ("split", "root"), "COCO": ("root",), "recording": ("topic",)}[kind]
-        return [name for name, value in vars(self).items() if value is not None and name not in of_kind]
-
-
 def command_parser() -> argparse.ArgumentParser:
     """The argument parser of the command."""
     parser = CommandParser(
@@ -54,7 +39,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--output",
         type=Path,
         metavar="FOLDER",
-        help="new folder for report.json, the curves (PNG) and all detections",
+        help="new folder for report.json and all detections",
     )
     parser.add_argument(
         "--compare",
@@ -68,13 +53,6 @@ def command_parser() -> argparse.ArgumentParser:
         metavar="GOAL",
         help="f1, recall=0.9 or precision=0.95: print thresholds that reach it, as detector parameters",
     )
-    add_data_options(parser)
-    add_detector_options(parser)
-    return parser
-
-
-def add_data_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options split and root."""
     parser.add_argument(
         "--split",
         choices=SPLITS,
@@ -86,3 +64,5 @@ def add_data_options(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
     )
+    add_detector_options(parser)
+    return parser

@@ -6,16 +6,19 @@ import argparse
 import re
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
+from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.evaluation.ground_truth import Problems
+from yolov5_lifecycle.evaluation.coco_file import read_coco_file
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
+from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.detector_options import wanted_settings
-from yolov5_lifecycle.offline.evaluate.arguments import DataOptions, command_parser
+from yolov5_lifecycle.offline.evaluate.arguments import command_parser
 from yolov5_lifecycle.offline.evaluate.evaluating import NOT_APPLIED, evaluate_models
-from yolov5_lifecycle.offline.evaluate.labelled_data import kind_of, labelled_data
 from yolov5_lifecycle.offline.evaluate.result import EvaluationResult
+from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.offline.terminal import Terminal, exit_code
 from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.process.standard_streams import write_output
@@ -42,29 +45,52 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     def run() -> int:
         if not arguments.data.exists():
             raise FileNotFoundError(f"{arguments.data}: file or folder not found")
-        options = DataOptions(split=arguments.split, root=arguments.root)
-        if problem := _usage_problem(arguments, options):
+        kind = _kind_of(arguments.data)
+        if problem := _usage_problem(arguments, kind):
             parser.error(problem)
         with closing(_Reports()) as reports:
-            return write_output(_COMMAND, _evaluated(arguments, options, reports, prepare))
+            return write_output(_COMMAND, _evaluated(arguments, kind, reports, prepare))
 
     return exit_code(_COMMAND, run)
 
 
-def _evaluated(
-    arguments: argparse.Namespace, options: DataOptions, reports: _Reports, prepare: Prepare
-) -> str:
+def _kind_of(data: Path) -> str:
+    """`YOLO` or `COCO`; raises DataError for anything else."""
+    is_folder, suffix = data.is_dir(), data.suffix.lower()
+    if suffix == ".json" and not is_folder:
+        return "COCO"
+    if suffix in YAML_SUFFIXES and not is_folder:
+        return "YOLO"
+    if is_recording(data):
+        raise DataError(
+            f"{data}: expected labelled images, found a recording: play it to a detector with "
+            "`collect: true` and a `collect_dir`, correct the labels there, and name that folder."
+        )
+    if is_folder:
+        return "YOLO"
+    raise DataError(
+        f"{data}: expected a folder with images/ and labels/, its data.yaml or a COCO file (.json)."
+    )
+
+
+def _labelled(arguments: argparse.Namespace, kind: str, problems: Problems) -> LabelledFolder:
+    """The images and labels; raises DataError if nothing can be used, and OSError."""
+    if kind == "COCO":
+        return read_coco_file(arguments.data, problems, root=arguments.root)
+    return read_yolo_folder(arguments.data, problems, split=arguments.split, root=arguments.root)
+
+
+def _evaluated(arguments: argparse.Namespace, kind: str, reports: _Reports, prepare: Prepare) -> str:
     """What is printed; the files are written."""
-    kind = kind_of(arguments.data)
     wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
         wanted.append(_settings(arguments, _compared(arguments.compare)))
-    for module in ("pycocotools.cocoeval", *(["matplotlib.figure"] if arguments.output else [])):
-        if problem := absence_of(module):
-            raise DetectingError(problem)
+    if problem := absence_of("pycocotools.cocoeval"):
+        raise DetectingError(problem)
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
-        data = labelled_data(arguments.data, options, reports.problems)
+        reports.begin("reading the labels")
+        data = _labelled(arguments, kind, reports.problems)
         classes, evaluations = evaluate_models(
             data, wanted, observer=reports, problems=reports.problems, prepare=prepare
         )
@@ -101,7 +127,7 @@ class _Reports(Terminal):
 
     def __init__(self) -> None:
         super().__init__(_COMMAND, shows_progress=True)
-        self.problems = Problems(self.tell, progress=self.begin)
+        self.problems = Problems(self.tell)
         self._rejected: set[str] = set()
 
     def lost(self, label: str, outcome: Outcome, error: Exception) -> None:
@@ -112,9 +138,8 @@ class _Reports(Terminal):
             self.problems.add("unusable images", label, error)
 
 
-def _usage_problem(arguments: argparse.Namespace, options: DataOptions) -> str:
+def _usage_problem(arguments: argparse.Namespace, kind: str) -> str:
     """The conflict between command-line arguments, or ""."""
-    kind = kind_of(arguments.data)
     compared = [] if arguments.compare is None else _compared(arguments.compare)
     named, named_other = (
         {assignment.partition("=")[0] for assignment in assignments}
@@ -122,8 +147,6 @@ def _usage_problem(arguments: argparse.Namespace, options: DataOptions) -> str:
     )
     useless = (named | named_other - {"weights"}) & _USELESS.keys()
     problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
-    problems += [
-        f"--{name} does not apply to {arguments.data}, a data set of the kind {kind}"
-        for name in options.useless(kind)
-    ]
+    if kind == "COCO" and arguments.split is not None:
+        problems.append(f"--split does not apply to {arguments.data}, a COCO file")
     return "; ".join(problems)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_json
 
-from yolov5_lifecycle.evaluation.curves import draw_confusion_matrix, draw_f1_curve, draw_pr_curve
 from yolov5_lifecycle.evaluation.figures import (
     MIN_IOU,
     RESAMPLES,
@@ -111,7 +109,7 @@ class EvaluationResult:
             "resamples": RESAMPLES,
             "changed": {name: value for name, value in other.items() if value != one[name]},
             "rows": [
-                {**row, "intervals": {metric: asdict(found) for metric, found in of_class.items()}}
+                {**row, "intervals": of_class}
                 for row, of_class in zip(rows(self._matches[1], second.thresholds), intervals, strict=True)
             ],
         }
@@ -128,22 +126,19 @@ class EvaluationResult:
         return "\n".join(parts)
 
     def write(self, folder: Path) -> None:
-        """Write report, curves, and the detections and ground truth behind them to the new `folder`.
+        """Write the report, and the detections and ground truth behind it to the new `folder`.
 
         Raises OSError.
         """
         first = self._evaluations[0]
         folder.mkdir()
-        _write_json(folder / "report.json", _without_nan(self.report), indent=2)
+        _write_json(folder / "report.json", self.report, indent=2)
         _write_json(folder / "ground_truth.json", truth_dataset(first.images, self._names))
         names = ("detections.json", "detections_other.json")
         for name, evaluation in zip(names, self._evaluations, strict=False):
             fields = ("image_id", "category_id", "bbox", "score")
             found = found_annotations(evaluation.images)
             _write_json(folder / name, [{field: one[field] for field in fields} for one in found])
-        draw_pr_curve(folder / "pr_curve.png", self._matches[0])
-        draw_f1_curve(folder / "f1_curve.png", self._matches[0], first.settings.confidence_threshold)
-        draw_confusion_matrix(folder / "confusion_matrix.png", **self.report["confusion_matrix"])
 
     def _head(self) -> str:
         data, model = self.report["data"], self.report["model"]
@@ -176,17 +171,8 @@ class EvaluationResult:
 
 
 def _write_json(path: Path, content: object, *, indent: int | None = None) -> None:
-    text = json.dumps(content, indent=indent, allow_nan=False)
-    path.write_text(f"{text}\n", encoding="utf-8")
-
-
-def _without_nan(value: Any) -> Any:
-    """`value` as JSON has it: None instead of NaN."""
-    if isinstance(value, Mapping):
-        return {name: _without_nan(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    """Write `content` with `null` for NaN."""
+    path.write_bytes(to_json(content, indent=indent, inf_nan_mode="null") + b"\n")
 
 
 def _model(evaluation: Evaluation) -> dict[str, Any]:
@@ -238,9 +224,9 @@ def _comparison_table(rows: Sequence[Mapping[str, Any]]) -> str:
     for row in rows:
         for metric in _COMPARED:
             found = row["intervals"][metric]
-            if found["verdict"]:
-                both = f"{found['difference_low']:+.3f} to {found['difference_high']:+.3f}"
-                figures = [_shown(found["first"]), _shown(found["second"]), both, found["verdict"]]
+            if found.verdict:
+                both = f"{found.difference_low:+.3f} to {found.difference_high:+.3f}"
+                figures = [_shown(found.first), _shown(found.second), both, found.verdict]
                 cells.append([in_one_line(row["name"], _MAX_NAME), _HEADS[metric], *figures])
     return _aligned(cells)
 
