@@ -228,7 +228,7 @@ def collect(detector: Detector, seed: int, folder: Path) -> Outcome:
         image = ColourImage(frame.pixels, "rgb")
         found = detector.detect(image, collecting.wanted(Selection()))
         published = narrowed(found, Selection())
-        collecting.look(found, published, image, Origin("", 0, frame.number))
+        collecting.look(found, published, image, None, Origin("", 0, frame.number))
         outcome.errors.append(errors(published, frame.truth))
         outcome.weaknesses.append(frame.weakness)
         outcome.places.append(frame.place)

@@ -45,7 +45,7 @@ class Camera:
         self.looks.append(wanted.with_embedding)
         embedding = look_of(len(self.looks)) if wanted.with_embedding else None
         whole = replace(published, **{"embedding": embedding, **changes})
-        self.collecting.look(whole, published, IMAGE, Origin("f", 1, 2))
+        self.collecting.look(whole, published, IMAGE, None, Origin("f", 1, 2))
         self.now_s += 1 / 30
 
     @property

@@ -49,10 +49,16 @@ def test_a_polygon_is_the_outline_of_the_mask_or_the_corners_of_the_box(values: 
     assert corners.tolist() == pytest.approx((WIDTH // 4, 10, right, 30), abs=1.01)
 
 
+def test_a_jpeg_is_kept_as_it_was_received() -> None:
+    jpeg = cv2.imencode(".jpg", candidate().image.pixels)[1].reshape(-1)
+    assert candidate(received_jpeg=jpeg).jpeg() == jpeg.tobytes()
+
+
 def test_blank_regions_are_black_and_their_objects_are_not_labelled() -> None:
     white = ColourImage(np.full((48, 64, 3), 255, np.uint8), "rgb")
+    received = cv2.imencode(".jpg", white.pixels)[1].reshape(-1)
     left = rules(blank_regions=("0,0 0.5,0 0.5,1 0,1",))
-    frame = candidate(image=white, rules=left)
+    frame = candidate(image=white, received_jpeg=received, rules=left)
     pixels = cv2.imdecode(np.frombuffer(frame.jpeg(), np.uint8), cv2.IMREAD_COLOR)
     assert pixels[:, :30].max() < 20
     assert pixels[:, 34:].min() > 235

@@ -34,7 +34,6 @@ from yolov5_lifecycle.collecting.collected_files import (
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
-from yolov5_lifecycle.images.image import ColourImage
 
 STRANGE_NAME = 'no "bird": #1\\ \U0001f600 \u06af\u0631\u0628\u0647\u200c\u0647\u0627'
 LARGE = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
@@ -106,8 +105,7 @@ def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -
     keep(folder)
     folder.close()
     small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=folder.size_bytes))
-    noise = np.random.default_rng(0).integers(0, 255, (500, 500, 3)).astype(np.uint8)
-    large = candidate(1, image=ColourImage(noise, "bgr"), reasons={Trigger.REQUESTED: Detail("")})
+    large = candidate(1, received_jpeg=np.zeros(100_000, np.uint8), reasons={Trigger.REQUESTED: Detail("")})
     assert not add(small, large)
     small.close()
     assert check(tmp_path) == 1

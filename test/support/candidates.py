@@ -85,6 +85,7 @@ def candidate(seed: int = 0, **changes: Any) -> Candidate:
     pixels = np.random.default_rng(seed).integers(0, 255, (*SIZE_HW, 3)).astype(np.uint8)
     usual = Candidate(
         image=ColourImage(pixels, "bgr"),
+        received_jpeg=None,
         detections=CAT,
         embedding=look_of(seed),
         origin=Origin("optical_frame", 12, 34),

@@ -176,6 +176,8 @@ class Candidate:
     """
 
     image: ColourImage
+    received_jpeg: NDArray[np.uint8] | None
+    """(N,) the image as it was received, if that was a JPEG file."""
     detections: Detections
     """Those that are published, with masks if the model segments."""
     embedding: Embedding
@@ -188,6 +190,11 @@ class Candidate:
     @property
     def is_requested(self) -> bool:
         return Trigger.REQUESTED in self.reasons
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory that it holds while it waits."""
+        return self.image.pixels.nbytes + (0 if self.received_jpeg is None else self.received_jpeg.nbytes)
 
     @cached_property
     def shades(self) -> Shades:
@@ -213,7 +220,12 @@ class Candidate:
         return self.detections[visible.admits(self.detections.boxes_xyxy, self.image.size_hw)]
 
     def jpeg(self) -> bytes:
-        """What may be stored of the image; raises ImageError if it cannot be encoded."""
+        """The image as it was received if that was a JPEG file, unless regions of it are blanked out.
+
+        Raises ImageError if it cannot be encoded.
+        """
+        if self.received_jpeg is not None and not self.rules.blank_regions:
+            return self.received_jpeg.tobytes()
         return encode_jpeg(self._visible_image, quality=_JPEG_QUALITY).tobytes()
 
     def record(self, path: str, reasons: Mapping[Trigger, Detail]) -> CollectedFrame:

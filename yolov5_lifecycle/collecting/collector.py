@@ -11,6 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from yolov5_lifecycle.collecting.candidate import (
     PACE_MIN,
     Candidate,
@@ -89,8 +92,8 @@ class Collector:
     def offer(self, candidate: Candidate) -> None:
         """Take a candidate, or count it as dropped if too many wait; never waits for the disk."""
         with self._changed:
-            held = sum(each.image.pixels.nbytes for each in (*self._waiting, candidate))
-            is_full = len(self._waiting) >= MAX_WAITING or held > MAX_WAITING_BYTES
+            held = sum(waiting.held_bytes for waiting in self._waiting)
+            is_full = len(self._waiting) >= MAX_WAITING or held + candidate.held_bytes > MAX_WAITING_BYTES
             if self._is_closing or (self._waiting and is_full):
                 self._count("dropped")
                 return
@@ -232,10 +235,13 @@ class CameraCollecting:
         found: Detections,
         published: Detections,
         image: ColourImage,
+        received_jpeg: NDArray[np.uint8] | None,
         origin: Origin,
     ) -> None:
         """Offer a frame in which `found` was found with `wanted`, and `published` was published, if it may be
         worth keeping.
+
+        `received_jpeg`: see `Candidate`.
         """
         rules = self.rules
         if found.embedding is None:
@@ -246,6 +252,7 @@ class CameraCollecting:
             self._collector.offer(
                 Candidate(
                     image=image,
+                    received_jpeg=received_jpeg,
                     detections=published,
                     embedding=found.embedding,
                     origin=origin,

@@ -22,17 +22,29 @@ from vision_msgs.msg import (
 )
 
 from yolov5_lifecycle.detection.detections import Detections, FoundObject
-from yolov5_lifecycle.images.compressed import compressed_image
+from yolov5_lifecycle.images.compressed import compressed_image, is_jpeg
 from yolov5_lifecycle.images.encodings import raw_image
-from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.images.image import ColourImage, bytes_of
 from yolov5_lifecycle.spatial.placement import Box3D, Placement
 
+_EXIF_BYTES = 1 << 16
 """EXIF data are at the beginning of a JPEG file."""
 
 
 def image_of_message(message: Image | CompressedImage) -> ColourImage:
     """Image in `message`, without a copy where the encoding allows; raises ImageError."""
     return compressed_image(message) if isinstance(message, CompressedImage) else raw_image(message)
+
+
+def jpeg_of_message(message: Image | CompressedImage, image: ColourImage) -> NDArray[np.uint8] | None:
+    """The JPEG file (N,) in `message`, without a copy, if every reader sees `image` in it; else None.
+
+    Others are rotated by their EXIF data, which ROS ignores, have red and blue exchanged, or are mosaics.
+    """
+    if not isinstance(message, CompressedImage) or image.order != "bgr":
+        return None
+    data = bytes_of(message.data)
+    return data if is_jpeg(data) and b"Exif" not in data[:_EXIF_BYTES].tobytes() else None
 
 
 def image_message(pixels: NDArray[Any], encoding: str, header: Header) -> Image:

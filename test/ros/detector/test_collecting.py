@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import CompressedImage
 from std_srvs.srv import Trigger
 from support.candidates import frames_of
 from support.detector_process import WEIGHTS, scene_image
@@ -19,6 +20,7 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.evaluation.ground_truth import Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
+from yolov5_lifecycle.ros.messages import image_of_message, jpeg_of_message
 
 EVERYTHING = ("collect:=true", "collect_min_free_mb:=0")
 
@@ -150,3 +152,22 @@ def test_a_folder_that_cannot_be_used_is_told_and_detections_go_on(tmp_path: Pat
         served.publish(scene_image())
         served.wait_for(lambda: len(served.detections) == 2, "detections")
         assert served.state() == "active"
+
+
+@pytest.mark.parametrize(
+    ("pixels", "format_text", "exif", "is_kept"),
+    [
+        pytest.param(".jpg", "rgb8; jpeg compressed bgr8", b"", True, id="JPEG"),
+        pytest.param(".png", "rgb8; png compressed bgr8", b"", False, id="PNG"),
+        pytest.param(".jpg", "rgb8; jpeg compressed rgb8", b"", False, id="red and blue exchanged"),
+        pytest.param(".jpg", "jpeg", b"\xff\xe1\x00\x10Exif\0\0" + b"\0" * 8, False, id="rotated"),
+    ],
+)
+def test_a_jpeg_message_is_kept_as_it_is_if_every_reader_sees_the_same(
+    pixels: str, format_text: str, exif: bytes, is_kept: bool
+) -> None:
+    data = cv2.imencode(pixels, np.full((8, 8, 3), 99, np.uint8))[1].tobytes()
+    message = CompressedImage(format=format_text, data=data[:2] + exif + data[2:])
+    jpeg = jpeg_of_message(message, image_of_message(message))
+    assert (jpeg is not None) == is_kept
+    assert jpeg is None or jpeg.tobytes() == data

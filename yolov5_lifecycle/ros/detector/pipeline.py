@@ -145,8 +145,9 @@ class CameraPipeline:
             yield partial(self.outputs.detections_3d.publish, message)
         yield from self._images(result, detections, placed.distances_m if placed else ())
         if self.collecting is not None:
+            jpeg = messages.jpeg_of_message(result.frame.message, result.image)
             origin = Origin(header.frame_id, header.stamp.sec, header.stamp.nanosec)
-            self.collecting.look(result.found, detections, result.image, origin)
+            self.collecting.look(result.found, detections, result.image, jpeg, origin)
 
     def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
