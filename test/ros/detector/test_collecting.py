@@ -123,7 +123,7 @@ def test_an_image_is_kept_when_somebody_asks_for_it_and_without_any_subscriber(t
         served.publish(scene_image())
         (frame,) = wait_for_kept(served, tmp_path, 1)
         assert frame.reasons == {"requested": "~/collect"}
-        assert served.values()["images collected"] == "1"
+        served.wait_for(lambda: served.values()["images collected"] == "1", "the count")
         served.ignore_detections()
         assert ask(served)[0]
         served.publish(scene_image(5))
