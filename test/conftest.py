@@ -22,7 +22,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import pytest
 from hypothesis import HealthCheck, settings
 from support.colcon_workspace import REPOSITORY, build_workspace
-from support.whole_run import WholeRun
+from support.whole_run import WholeRun, Worker
 from support.worker import made_once, run_folder, suitable_count, worker_domain
 
 from yolov5_lifecycle.ros.child_process import isolated
@@ -43,8 +43,8 @@ settings.load_profile("suite")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        config.pluginmanager.register(WholeRun())
+    is_worker = "PYTEST_XDIST_WORKER" in os.environ
+    config.pluginmanager.register(Worker() if is_worker else WholeRun(config.getvalue("maxfail") or 0))
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -20,6 +20,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.clean_environment import pins
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
+from support.pages import typed
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings
@@ -199,6 +200,13 @@ def test_a_node_that_is_not_active_is_not_healthy_and_has_time_to_answer() -> No
     assert variables()["YOLOV5_NODE"] == "/yolov5"
     (discovery_s, limit_s) = re.findall(r"--(?:spin-time |timeout=)(\d+)", check)[::-1]
     assert 5 <= int(discovery_s) <= int(limit_s) / 3, "ros2 itself waits half a second"
+
+
+def test_what_builds_with_podman_keeps_the_health_check() -> None:
+    lines = [*typed(REPOSITORY / "docs" / "docker.md"), *(DOCKER / "try-build").read_text().splitlines()]
+    builds = [line for line in lines if re.search(r"\b(podman|buildah) (build|bud)\b", line)]
+    assert len(builds) == 2
+    assert [line for line in builds if "--format docker" not in line] == []
 
 
 def entered(workspace: Path, *words: str) -> subprocess.CompletedProcess[str]:

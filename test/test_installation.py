@@ -7,8 +7,10 @@ import re
 import runpy
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import zipfile
 from collections.abc import Iterator
 from importlib.metadata import packages_distributions
@@ -21,6 +23,7 @@ from packaging.utils import canonicalize_name
 from support.clean_environment import closure
 from support.colcon_workspace import PACKAGE, REPOSITORY
 from support.file_server import FileServer, ServedRequest
+from support.started import started
 
 pytestmark = pytest.mark.long
 
@@ -30,6 +33,8 @@ CONSTRAINTS = REPOSITORY / "requirements" / "constraints.txt"
 WHEEL = "torch-2.13.0+cpu-py3-none-any.whl"
 NO_INDEX = "http://127.0.0.1:9"
 """Nobody listens on the port that is reserved for discarding."""
+
+PATIENCE_S = 60.0
 
 
 def lines_of(requirements: str) -> list[str]:
@@ -67,6 +72,7 @@ def test_a_path_in_which_the_messages_can_be_built_is_taken() -> None:
 @pytest.mark.parametrize(
     ("path", "named"),
     [
+        pytest.param("/home/user/a,b", "','", id="comma"),
         pytest.param("/home/\u0131\u015f\u0131k/robot", r"'\u0131\u015f'", id="Turkish"),
         pytest.param("/home/o'hara", '"\'"', id="apostrophe"),
         pytest.param("/tmp/a\nb", r"'\n'", id="newline"),
@@ -116,7 +122,11 @@ def test_make_refuses_a_path_before_it_installs_anything(clone: Path) -> None:
         pytest.param(["SET=humble"], "expected 'tested' (", id="an unknown set"),
         *(
             pytest.param([f"VENV={folder}"], "expected a folder here whose name begins with .venv-", id=name)
-            for folder, name in (("..", "parent"), (".venv-3.12/bin", "below"), (".venv-a .venv-b", "two"))
+            for folder, name in (
+                ("..", "parent"),
+                (".venv-3.12/bin", "below"),
+                (".venv-a .venv-b", "two"),
+            )
         ),
     ],
 )
@@ -127,6 +137,15 @@ def test_make_refuses_what_it_cannot_use_and_says_what_it_expects(
     assert refused.returncode != 0
     assert told in refused.stderr
     assert [path.name for path in clone.iterdir() if path.name.startswith(".venv")] == []
+
+
+def test_the_matrix_leaves_out_a_python_that_is_not_there_and_has_an_environment_for_each() -> None:
+    names = "2.9-tested 3.11-tested 3.12-tested 3.12-apt 3.12-kilted"
+    shown = make(REPOSITORY, "-n", "test-matrix", f"MATRIX={names}")
+    assert "no Python 2.9 on PATH or in ~/.pyenv" in shown.stderr
+    assert "2.9-tested: left out" in shown.stdout
+    folders = {line.split("/")[0] for line in shown.stdout.splitlines() if "/bin/python -m pytest" in line}
+    assert len(folders) == shown.stdout.count(": passed") > 0, shown.stdout
 
 
 def test_the_demo_installs_less_than_the_tests(clone: Path) -> None:
@@ -262,7 +281,7 @@ def test_without_a_driver_torch_comes_from_the_index_of_cpu_builds(
     ("wanted", "driver"),
     [
         pytest.param("", "/proc/driver/nvidia/version", id="driver"),
-        pytest.param("cuda", "/proc/driver/nvidia/version", id="cuda and driver"),
+        pytest.param("cuda", "", id="cuda"),
     ],
 )
 def test_with_a_driver_or_when_asked_for_torch_is_left_to_pip(
@@ -285,6 +304,33 @@ def test_an_index_that_cannot_be_reached_leaves_torch_to_pip_and_says_so(
 @pytest.mark.usefixtures("plain_pip")
 def test_the_cpu_build_that_was_asked_for_is_replaced_by_no_other(tmp_path: Path) -> None:
     assert install("cpu", NO_INDEX, tmp_path / "installed") != 0
+
+
+@pytest.mark.usefixtures("plain_pip")
+@pytest.mark.skipif(bool(TORCH["nvidia_driver"]()), reason="this machine has a driver of NVIDIA's")
+def test_an_interrupt_is_no_reason_for_another_build(tmp_path: Path) -> None:
+    asked = threading.Event()
+
+    def serve(request: ServedRequest) -> None:
+        asked.set()
+        request.server.closing.wait()
+
+    with FileServer(serve) as server:
+        program = [sys.executable, str(REPOSITORY / "requirements" / "install_torch.py"), "", server.address]
+        words = ["-c", str(CONSTRAINTS), "--target", str(tmp_path / "installed")]
+        with started(
+            [*program, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as installation:
+            assert asked.wait(PATIENCE_S)
+            os.killpg(installation.pid, signal.SIGINT)
+            told, _ = installation.communicate(timeout=PATIENCE_S)
+    assert installation.returncode == -signal.SIGINT
+    assert "usual build" not in told
+    assert "Traceback" not in told
 
 
 def test_a_driver_is_found_by_what_it_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

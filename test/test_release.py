@@ -18,7 +18,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.colcon_workspace import PACKAGE, REPOSITORY, clone, published_files
 
-from tools.release import archived_files, content_problems, version_problems
+from tools.release import archived_files, content_problems, exported, version_problems
 from tools.release_notes import notes
 from yolov5_lifecycle.doctor.system import NEWEST_PYTHON, OLDEST_PYTHON
 
@@ -137,6 +137,19 @@ def test_a_version_that_differs_is_named(
     assert problem in "".join(found)
 
 
+def test_a_commit_is_exported_without_what_is_not_committed(tmp_path: Path) -> None:
+    repository = tmp_path / "repository"
+    repository.mkdir()
+    (repository / "kept").write_text("kept")
+    (repository / "kept").chmod(0o600)
+    identity = ["-c", "user.email=a@example.org", "-c", "user.name=A"]
+    for words in (["init", "-q"], ["add", "kept"], [*identity, "commit", "-q", "-m", "kept"]):
+        subprocess.run(["git", *words], cwd=repository, check=True)
+    (repository / "new").write_text("new")
+    (file,) = exported(tmp_path / "exported", repository).iterdir()
+    assert (file.name, file.stat().st_mode & 0o777) == ("kept", 0o644)
+
+
 MESSAGES = (
     f"build/dist/{PACKAGE}_interfaces-{{version}}-cp{{python}}-cp{{python}}-manylinux_2_34_{{machine}}.whl"
 )
@@ -230,6 +243,8 @@ CHANGELOG = """\
 ## [1.1.0] - 2026-12-24
 - One; `## [9.9.9]` is no heading.
 
+## [1.0.0] - 2026-12-01
+
 [1.1.0]: https://example.org/1.1.0
 """
 
@@ -237,6 +252,19 @@ CHANGELOG = """\
 def test_the_notes_are_the_section_of_the_version() -> None:
     assert notes(CHANGELOG, "v1.10.0") == "- Ten.\n"
     assert notes(CHANGELOG, "v1.1.0") == "- One; `## [9.9.9]` is no heading.\n"
+
+
+@pytest.mark.parametrize(
+    ("tag", "told"),
+    [
+        pytest.param("v1.0.0", "Rename the heading", id="nothing below the heading"),
+        pytest.param("v1x1.0", "Rename the heading", id="a pattern that fits another number"),
+        pytest.param("1.1.0", "expected a version behind 'v'", id="a tag without v"),
+    ],
+)
+def test_a_tag_without_notes_is_refused(tag: str, told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        notes(CHANGELOG, tag)
 
 
 def test_a_version_without_changes_is_refused_with_the_remedy_and_without_any_package() -> None:

@@ -24,12 +24,17 @@ FFMPEG = pytest.mark.skipif(
     ("text", "shown"),
     [
         pytest.param("rtsp://a:b@h/x", "rtsp://***@h/x", id="password"),
+        pytest.param("rtsp://me@mail.com:secret@h/x", "rtsp://***@h/x", id="e-mail address"),
         pytest.param("rtsp://me@h/x@y", "rtsp://***@h/x@y", id="user alone"),
         pytest.param("rtsp://a:b@c@h/x", "rtsp://***@h/x", id="@ in the password"),
         pytest.param("rtsp://a:b/c@h/x", "rtsp://***@h/x", id="slash in the password"),
+        pytest.param("rtsp://a/b:c@h/x", "rtsp://***@h/x", id="slash in the user name"),
+        pytest.param("rtsp://a:b c@h/x", "rtsp://***@h/x", id="blank in the password"),
         pytest.param("rtsp://a:b?c=d#e@h/x?f=g", "rtsp://***@h/x?f=***", id="query in the password"),
+        pytest.param("rtsp://h:554/x@y", "rtsp://***@y", id="ambiguous"),
         pytest.param("rtsp://h/x?pwd=a&b=c/d=&e", "rtsp://h/x?pwd=***&b=***&***", id="query"),
         pytest.param("rtsp://h/x?pwd=a b", "rtsp://h/x?pwd=***", id="blank in the query"),
+        pytest.param("rtsp://h:1/?a=me@mail.com&b=c", "rtsp://***@mail.com&b=***", id="@ in the query"),
         pytest.param("rtsp://h/user=a_password=b_c.sdp?d", "rtsp://h/user=***", id="values in the path"),
         pytest.param(
             "rtspsrc location=rtsp://a:b@h/x user-pw = 'c d' proxy-pw=e ! appsink",
@@ -39,6 +44,9 @@ FFMPEG = pytest.mark.skipif(
         pytest.param("To srt://h:1?passphrase=a failed", "To srt://h:1?passphrase=*** failed", id="message"),
         pytest.param(
             "http://h/n.pt: answers 404 ?why", "http://h/n.pt: answers 404 ?why", id="before a message"
+        ),
+        pytest.param(
+            "rtsp://a:b: c@h/x: no", "rtsp://***@h/x: no", id="blank in the password, and a message"
         ),
         pytest.param("x:rtsp://a:b c@h/x, rtsp://d@i", "x:rtsp://***@h/x, rtsp://***@i", id="two"),
         pytest.param("'rtsp://h:1/x?a=b' me@x", "'rtsp://h:1/x?a=***' me@x", id="quoted"),
@@ -54,7 +62,9 @@ def test_secrets_of_an_address_are_not_shown(text: str, shown: str) -> None:
     [
         "rtsp://h:554/x",
         "https://medium.com/@user/x",
+        "file:///a/b.yaml and package://c/d",
         "a:b@c a=b ?c=d",
+        "Done ! a-b",
     ],
 )
 def test_text_without_an_address_with_secrets_stays(text: str) -> None:

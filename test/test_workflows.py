@@ -54,6 +54,20 @@ def test_a_workflow_has_no_rights_and_a_job_changes_only_what_it_is_there_for() 
     assert read <= {"contents"}
 
 
+def test_a_job_ends() -> None:
+    limits = [job["timeout-minutes"] for *_, job in JOBS if "runs-on" in job]  # others are workflows
+    assert limits
+    assert all(0 < minutes <= 360 for minutes in limits)
+
+
+def test_a_dead_link_is_an_error_of_the_site_and_no_page_loads_anything_from_another_host() -> None:
+    configuration = (REPOSITORY / "mkdocs.yml").read_text()
+    assert "\nstrict: true\n" in configuration
+    validation = configuration.partition("\nvalidation:\n")[2].partition("\n\n")[0]
+    assert set(re.findall(r": (\w+)", validation)) == {"warn"}  # which `strict` makes errors
+    assert "\n  font: false" in configuration
+
+
 def test_no_workflow_gives_the_rights_of_this_repository_to_a_change_of_strangers() -> None:
     for name, workflow in WORKFLOWS.items():
         triggers = workflow[True]  # what YAML makes of the key `on`

@@ -249,7 +249,17 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "linked", ["images", "frames", "labels/{session}", "{image}", "{record}", "data.yaml"]
+    "linked",
+    [
+        "images",
+        "images/{session}",
+        "{image}",
+        "labels",
+        "labels/{session}",
+        "frames",
+        "{record}",
+        "data.yaml",
+    ],
 )
 def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
     path = foreign(tmp_path / "foreign")
@@ -276,6 +286,15 @@ def named(folder: Path, pattern: str) -> str:
     kept = images_of(folder)[0]
     of_image = {"labels": file_of(kept.path, LABELS), "record": file_of(kept.path, FRAMES)}
     return pattern.format(session=kept.session, image=kept.path, **of_image)
+
+
+def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "labels").symlink_to(tmp_path / "outside")
+    with pytest.raises(CollectingError, match="expected a file or folder, found a link"):
+        CollectedFolder(tmp_path / "foreign", LARGE)
+    assert [*(tmp_path / "outside").iterdir()] == []
 
 
 @pytest.mark.parametrize(

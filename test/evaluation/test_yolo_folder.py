@@ -147,9 +147,9 @@ def test_texts_may_have_byte_order_marks_where_files_were_joined_too(encoding: s
     ("line", "told"),
     [
         pytest.param(
-            r"images\1.jpg", r"a path of Windows; type sed -i 's\|\\\\\|/\|g' FILE, ", id="backslash"
+            r"images\1.jpg", r"a path of Windows; type sed -i 's\|\\\\\|/\|g' FILE[^;]*$", id="backslash"
         ),
-        pytest.param("C:/a/images/1.jpg", "make a path with a drive relative to ", id="drive"),
+        pytest.param("C:/a/images/1.jpg", "a path of Windows; make it relative to ", id="drive"),
         pytest.param("../there.jpg", "; --root names the folder that may be read", id="outside"),
         pytest.param("../missing.jpg", "lies outside of [^;]*$", id="outside and missing"),
         pytest.param("/home/them/images/1.jpg", "lies outside of [^;]*$", id="of another computer"),

@@ -45,7 +45,15 @@ HOSTILE_JPEGS = {
         jpeg.SOI + b"\xff\xe0\xff\xff" + _HUGE_JPEG[2:],
         "marker FFE0 claims 65535 bytes at 4",
     ),
+    "a scan longer than the file": (
+        jpeg.opened(jpeg.frame(*_SMALL)) + b"\xff\xda\xff\xff",
+        "claims 65535 by",
+    ),
     "a lossless frame": (jpeg.image(*_SMALL, marker=0xC3), "found marker FFC3.*Save it as a baseline JPEG"),
+    "arithmetic conditioning": (
+        jpeg.opened(jpeg.segment(0xCC, b"\0\0"), jpeg.frame(*_SMALL)) + jpeg.closed(),
+        "found marker FFCC",
+    ),
     "12 bits": (
         jpeg.opened(jpeg.frame(*_SMALL, bits=12)) + jpeg.closed(),
         "of 8 bits and .*, found 12 bits",

@@ -1,4 +1,4 @@
-"""The run of all tests as a whole, which leaves nothing behind."""
+"""The run of all tests as a whole: it says what was running when it was ended, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -25,13 +25,31 @@ _OF_FAST_DDS = ("fastrtps_*", "sem.fastrtps_*", "fast_datasharing_*")
 class WholeRun:
     """Plugin for the process that distributes the tests to workers, or runs them all itself."""
 
-    def __init__(self) -> None:
+    def __init__(self, max_failures: int) -> None:
+        """`max_failures` end the run, none if 0."""
+        self._max_failures = max_failures
         self._folder = os.environ[_RUN] = tempfile.mkdtemp(prefix="test-run-")
         self._began_s = time.time()
+        self._running: dict[str, float] = {}
 
     def pytest_sessionstart(self) -> None:
         """Let SIGTERM, by which `timeout` ends a run, do what Ctrl-C does: pytest reports what it has."""
         signal.signal(signal.SIGTERM, _interrupt)
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self._running[nodeid] = time.monotonic()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self._max_failures -= report.failed
+        if report.failed and self._max_failures == 0:
+            _stop_file().touch()
+
+    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+        self._running.pop(nodeid, None)
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        for nodeid, begin_s in self._running.items():
+            terminalreporter.line(f"UNFINISHED after {time.monotonic() - begin_s:.0f} s: {nodeid}")
 
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
@@ -39,6 +57,24 @@ class WholeRun:
         end_processes(self._folder)
         remove_unused_memory(self._began_s)
         shutil.rmtree(self._folder)
+
+
+class Worker:
+    """Plugin for a worker: after the last failure that a run may have, it ends with the test in progress.
+
+    xdist itself goes on with the files that a worker has already, whose tests may all wait for the same.
+    """
+
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        self._session = session
+
+    def pytest_runtest_logfinish(self) -> None:
+        if _stop_file().exists():
+            self._session.shouldfail = "too many failures in this run"
+
+
+def _stop_file() -> Path:
+    return Path(os.environ[_RUN]) / "stop"
 
 
 def _interrupt(number: int, _: FrameType | None) -> None:

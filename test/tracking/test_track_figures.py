@@ -45,6 +45,11 @@ TWO = {1: 0.0, 2: 100.0}
         pytest.param([(ONE, {})] * 4, 0.0, 0, id="all missed"),
         pytest.param([({}, {"a": 0.0})] * 4, 0.0, 0, id="all false"),
         pytest.param([(ONE, {"a": 5.0})] * 4, 0.0, 0, id="a third in common"),
+        pytest.param([(ONE, {"a": 10 / 3})] * 4, 1.0, 0, id="half in common"),
+        # "a" was on both for most of its frames; "b" leaves it to the second, which has no other.
+        pytest.param(
+            [(TWO, {"a": 0.0})] * 3 + [(TWO, {"a": 100.0, "b": 0.0})] * 2, 8 / 17, 1, id="best assignment"
+        ),
         # Each of the two halves is identified with half of the frames.
         pytest.param([(ONE, {"a": 0.0})] * 2 + [(ONE, {"b": 0.0})] * 2, 0.5, 1, id="another id"),
         pytest.param(

@@ -143,10 +143,10 @@ def text_colour(background: Colour, order: Order) -> Colour:
 
 def printable(text: str) -> str:
     """The beginning of `text`, as much as a label may show, in printable ASCII, as in the Hershey fonts."""
-    if len(text) > _MAX_NAME_CHARACTERS:
-        text = text[:_MAX_NAME_CHARACTERS] + ".."
-    plain = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
-    return "".join(letter if " " <= letter <= "~" else "?" for letter in plain)
+    letters = unicodedata.normalize("NFKD", text[: _MAX_NAME_CHARACTERS + 1])  # of one may become 18
+    plain = "".join(letter for letter in letters if not unicodedata.combining(letter))
+    cut = plain[:_MAX_NAME_CHARACTERS]
+    return "".join(letter if " " <= letter <= "~" else "?" for letter in cut) + ".." * (plain != cut)
 
 
 @dataclass(frozen=True)

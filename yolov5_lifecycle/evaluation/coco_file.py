@@ -10,7 +10,6 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import from_json
 
 from yolov5_lifecycle.evaluation.ground_truth import (
-    MAX_BOXES_PER_IMAGE,
     MAX_CLASSES,
     MAX_IMAGES,
     MAX_OBJECTS,
@@ -21,6 +20,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Labels,
     Problems,
     absolute,
+    check_box_count,
     check_count,
     confined_path,
     read_data_file,
@@ -181,7 +181,7 @@ def _objects(
         elif image_id not in broken:
             try:
                 objects[image_id].append(_object(record, class_ids))
-                check_count("the image", "objects", len(objects[image_id]), MAX_BOXES_PER_IMAGE)
+                check_box_count(len(objects[image_id]))
             except ValueError as error:
                 problems.add("broken labels", where, _reason(error))
                 broken.add(image_id)

@@ -45,6 +45,12 @@ def check_count(
         raise DataError(f"{where}: expected at most {limit:,} {what}, found {count:,} or more: {remedy}.")
 
 
+def check_box_count(count: int) -> None:
+    """Raise DataError if an image has more than MAX_BOXES_PER_IMAGE objects."""
+    remedy = "the image is left out; correct its labels"
+    check_count("the image", "objects", count, MAX_BOXES_PER_IMAGE, remedy=remedy)
+
+
 def read_data_file(path: Path, max_bytes: int) -> bytes:
     """The content of a text file of a data set, see `read_text_file`; raises DataError, which names it."""
     try:
@@ -149,10 +155,9 @@ def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
     shown = in_one_line(text, _MAX_PATH)
     if _OF_WINDOWS.search(text) and not _exists(path):
         backslash = r"\\" if base else r"\\\\"  # JSON has each twice
-        raise DataError(
-            f"'{shown}' is a path of Windows; type sed -i 's|{backslash}|/|g' FILE, and make a path with a "
-            f"drive relative to {base or root}"
-        )
+        slashes = f"; type sed -i 's|{backslash}|/|g' FILE" if "\\" in text else ""
+        drive = f"; make it relative to {base or root}" if text[1:2] == ":" else ""
+        raise DataError(f"'{shown}' is a path of Windows{slashes}{drive}")
     if not path.is_relative_to(root):
         # What is relative to the root leaves every root.
         is_helped = (base is not None or Path(text).is_absolute()) and _exists(path)

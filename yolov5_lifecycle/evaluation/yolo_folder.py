@@ -26,6 +26,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Labels,
     Problems,
     absolute,
+    check_box_count,
     check_count,
     confined_path,
     read_data_file,
@@ -294,7 +295,7 @@ def parsed_labels(text: str, class_count: int) -> Labels:
                 boxes[_object(fields, class_count)] = None
         except DataError as error:
             raise DataError(f"line {number}: {error}") from None
-    check_count("the image", "objects", len(boxes), MAX_BOXES_PER_IMAGE)
+    check_box_count(len(boxes))
     return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
 
 

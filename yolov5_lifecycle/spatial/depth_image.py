@@ -125,10 +125,15 @@ def intrinsics_of_message(camera_info: Any) -> Intrinsics:
     """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
 
     P counts where it is filled in: depth images are rectified, and P is the camera of the rectified image.
-    Otherwise K. Raises ImageError as `Intrinsics`, and for a frame_id longer than MAX_FRAME_ID.
+    Otherwise K. Raises ImageError as `Intrinsics`, for matrices of another size, and for a
+    frame_id longer than MAX_FRAME_ID.
     """
     check_frame_id(camera_info)
     k, p = camera_info.k, camera_info.p
+    if len(k) != 9 or len(p) != 12:
+        raise ImageError(
+            f"Expected a camera_info with K of 9 and P of 12 values, found {len(k)} and {len(p)}."
+        )
     fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
     size_hw = camera_info.height, camera_info.width
     return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)

@@ -115,6 +115,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "empty").mkdir()
     (folder / "data.yaml").touch()
     (folder / "labels").mkdir()
+    taken = shutil.copy(folder / "best.safetensors", folder / "taken.safetensors")
+    path_beside(Path(taken)).mkdir()
     return folder
 
 
@@ -159,6 +161,9 @@ def test_a_calibration_is_written_beside_the_weights_and_int8_uses_it(
         ),
         pytest.param(
             ["best.safetensors", "images", "--image-size", "65"], "multiple of 32", id="size of no network"
+        ),
+        pytest.param(
+            ["taken.safetensors", "images"], "expected a file to write, found a folder", id="folder"
         ),
         pytest.param(["best.safetensors", "best.safetensors"], "best.safetensors", id="weights as data"),
     ],

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -109,6 +111,19 @@ def test_detections_above_the_threshold_are_those_of_the_node(evaluated: Path, d
         scores = [one["score"] for one in written if one["image_id"] == number and one["score"] > 0.25]
         # The last layer computes other cells at once, which changes the last digit of a sum.
         assert sorted(scores) == pytest.approx(sorted(found.scores.tolist()), rel=1e-5)
+
+
+def test_a_file_whose_name_is_not_utf_8_is_evaluated_and_reported(data: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "shapes"
+    shutil.copytree(data, copy)
+    image = min((copy / "images" / "val").iterdir())
+    strange = os.fsdecode(b"a\xff")
+    (copy / "labels" / "val" / image.name).with_suffix(".txt").rename(copy / "labels/val" / f"{strange}.txt")
+    image.rename(image.with_stem(strange))
+    assert evaluate(copy, "--output", str(tmp_path / "evaluated")) == 0
+    assert report_of(tmp_path / "evaluated")["data"]["images"] == 24
+    truth = json.loads((tmp_path / "evaluated" / "ground_truth.json").read_text())
+    assert any(strange in one["file_name"] for one in truth["images"])
 
 
 @pytest.mark.long

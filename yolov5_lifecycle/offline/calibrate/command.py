@@ -78,6 +78,8 @@ def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
         raise FileNotFoundError(f"{arguments.data}: file or folder not found")
     weights = load_weights(arguments.weights)
     path = path_beside(weights.path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: expected a file to write, found a folder; remove it")
     if not os.access(path.parent, os.W_OK):
         raise PermissionError(f"{path.parent}: not writable; copy the weights into a folder of yours")
     images = _images(arguments, weights.model.architecture, terminal)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic_core import to_json
+from pydantic_core import to_jsonable_python
 
 from yolov5_lifecycle.evaluation.figures import (
     MIN_IOU,
@@ -171,8 +172,9 @@ class EvaluationResult:
 
 
 def _write_json(path: Path, content: object, *, indent: int | None = None) -> None:
-    """Write `content` with `null` for NaN."""
-    path.write_bytes(to_json(content, indent=indent, inf_nan_mode="null") + b"\n")
+    """Write `content` with `null` for NaN, and bytes of file names that are not UTF-8 escaped."""
+    plain = to_jsonable_python(content, inf_nan_mode="null")
+    path.write_text(f"{json.dumps(plain, indent=indent, allow_nan=False)}\n", encoding="utf-8")
 
 
 def _model(evaluation: Evaluation) -> dict[str, Any]:
