@@ -179,6 +179,32 @@ def test_importing_the_detector_loads_no_runtime_and_no_torch() -> None:
     assert printed_by(program) == "['yolov5_lifecycle.runtimes.runtime'] []\n"
 
 
+OF_EXECUTOR = ("ros.detector.", "ros.parameters.", "streaming.")
+"""What the executor of the detector runs."""
+BLOCKING = {"wait": 1, "join": 1, "acquire": 1, "wait_for": 2}
+"""Methods that wait for another thread, and how many arguments they have when the last one is the limit."""
+
+
+def has_limit(call: ast.Call, method: str) -> bool:
+    given = [*call.args, *(keyword.value for keyword in call.keywords)]
+    is_endless = any(isinstance(value, ast.Constant) and value.value is None for value in given)
+    return len(given) >= BLOCKING[method] and not is_endless
+
+
+def endless_waits(tree: ast.Module) -> Iterator[str]:
+    """Calls that may wait for ever."""
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        method = getattr(call.func, "attr", "")
+        if method in BLOCKING and not has_limit(call, method):
+            yield ast.unparse(call)
+
+
+def test_no_callback_in_the_executor_waits_without_a_limit() -> None:
+    run = {module: tree for module, tree in MODULES.items() if module.startswith(OF_EXECUTOR)}
+    assert {f"{module.rpartition('.')[0]}." for module in run} == set(OF_EXECUTOR)
+    assert [f"{module}: {call}" for module, tree in run.items() for call in endless_waits(tree)] == []
+
+
 def words_of(tree: ast.Module) -> Iterator[str]:
     """Every identifier, keyword and text constant."""
     for node in ast.walk(tree):
