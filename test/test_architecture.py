@@ -43,11 +43,19 @@ def module_name(path: Path) -> str:
     return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
 
 
-MODULES = {
-    module_name(path): ast.parse(path.read_text())
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if path.name != "__init__.py"
-}
+FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.name != "__init__.py"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forgotten() -> Iterator[None]:
+    """The trees take 40 MB, which the tests of other files can do without."""
+    yield
+    tree_of.cache_clear()
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    return ast.parse(FILES[module].read_text())
 
 
 def imported_names(tree: ast.Module) -> set[str]:
@@ -64,8 +72,8 @@ def imported_names(tree: ast.Module) -> set[str]:
 @cache
 def imported_modules(module: str) -> set[str]:
     """The modules of this package that `module` imports."""
-    own = {name.removeprefix("yolov5_lifecycle.") for name in imported_names(MODULES[module])}
-    return MODULES.keys() & (own | {name.rpartition(".")[0] for name in own})
+    own = {name.removeprefix("yolov5_lifecycle.") for name in imported_names(tree_of(module))}
+    return FILES.keys() & (own | {name.rpartition(".")[0] for name in own})
 
 
 def folder_of(module: str) -> str:
@@ -87,14 +95,14 @@ def rank_of(module: str) -> tuple[int, int]:
 def test_a_folder_imports_lower_folders_only() -> None:
     assert [
         f"{module} imports {other}"
-        for module in MODULES
+        for module in FILES
         for other in imported_modules(module)
         if place_of(other) != place_of(module) and rank_of(other) >= rank_of(module)
     ] == []
 
 
 def test_no_module_imports_itself_in_a_circle() -> None:
-    sorter = TopologicalSorter({module: imported_modules(module) for module in MODULES})
+    sorter = TopologicalSorter({module: imported_modules(module) for module in FILES})
     try:
         sorter.prepare()
     except CycleError as error:
@@ -109,7 +117,7 @@ def printed_by(program: str) -> str:
 
 
 def modules_in(*folders: str) -> list[str]:
-    return [module for module in MODULES if folder_of(module) in folders]
+    return [module for module in FILES if folder_of(module) in folders]
 
 
 @pytest.mark.long
@@ -155,9 +163,9 @@ def test_a_node_sets_no_attribute_of_rclpys_nodes() -> None:
     assert "_parameters" in upstream
     assert [
         f"{module} sets {name}"
-        for module, tree in MODULES.items()
+        for module in FILES
         if module.endswith(".node")
-        for name in attributes_set(tree) & upstream
+        for name in attributes_set(tree_of(module)) & upstream
     ] == []
 
 
@@ -200,9 +208,9 @@ def endless_waits(tree: ast.Module) -> Iterator[str]:
 
 
 def test_no_callback_in_the_executor_waits_without_a_limit() -> None:
-    run = {module: tree for module, tree in MODULES.items() if module.startswith(OF_EXECUTOR)}
+    run = [module for module in FILES if module.startswith(OF_EXECUTOR)]
     assert {f"{module.rpartition('.')[0]}." for module in run} == set(OF_EXECUTOR)
-    assert [f"{module}: {call}" for module, tree in run.items() for call in endless_waits(tree)] == []
+    assert [f"{module}: {call}" for module in run for call in endless_waits(tree_of(module))] == []
 
 
 def words_of(tree: ast.Module) -> Iterator[str]:
@@ -213,7 +221,5 @@ def words_of(tree: ast.Module) -> Iterator[str]:
 
 
 def test_every_setting_is_used() -> None:
-    used = {
-        word for module, tree in MODULES.items() if module != "settings.settings" for word in words_of(tree)
-    }
+    used = {word for module in FILES if module != "settings.settings" for word in words_of(tree_of(module))}
     assert [setting.name for setting in SETTINGS if setting.name not in used] == []
