@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -15,6 +13,7 @@ import pytest
 from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
+from support.started import printed_by
 
 from yolov5_lifecycle.settings.settings import SETTINGS
 
@@ -107,13 +106,6 @@ def test_no_module_imports_itself_in_a_circle() -> None:
         sorter.prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
-
-
-def printed_by(program: str) -> str:
-    """What a new process prints."""
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    return run.stdout
 
 
 def modules_in(*folders: str) -> list[str]:

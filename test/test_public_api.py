@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -19,6 +17,7 @@ from support.colcon_workspace import REPOSITORY
 from support.pages import README, blocks
 from support.random_model import random_frame
 from support.small_families import segmentation_checkpoint
+from support.started import printed_by
 
 import yolov5_lifecycle
 from yolov5_lifecycle import Detections, Detector, load_model
@@ -57,12 +56,7 @@ def names(detections: Detections) -> Counter[str]:
 
 def without_ros(program: str) -> str:
     """What `program` prints in a clone of the repository, where rclpy cannot be imported."""
-    blocked = f"import sys\nsys.modules['rclpy'] = None\n{program}"
-    run = subprocess.run(
-        [sys.executable, "-c", blocked], cwd=REPOSITORY, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stderr
-    return run.stdout
+    return printed_by(f"import sys\nsys.modules['rclpy'] = None\n{program}", cwd=REPOSITORY)
 
 
 @pytest.mark.end_to_end
