@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 
+import cv2
+import numpy as np
 import torch
 from support import hostile_archives, hostile_onnx, hostile_safetensors
 from support import pickle_assembler as asm
 from support.checkpoint_builder import SMALL, official_model, saved, stripped
-from support.compressed_files import KINDS, compressed
+from support.compressed_files import image_file, smooth_bgr
 from support.hostile_images import HOSTILE_JPEGS, HOSTILE_PNGS
 from support.random_model import random_model
 from support.small_families import COSTLY, EVERY_SMALL
@@ -143,7 +145,11 @@ def check_onnx(data: bytes) -> None:
 
 def _compressed_images() -> Iterator[bytes]:
     """Complete files, and small ones in unusual forms."""
-    yield from map(compressed, KINDS)
+    colour = smooth_bgr(9, 12)
+    for values in (colour, colour[..., 0], colour.astype(np.uint16) * 257):
+        yield image_file(".png", values)
+    for flags in ((), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)):
+        yield image_file(".jpg", colour, *flags)
     for data, _ in [*HOSTILE_JPEGS.values(), *HOSTILE_PNGS.values()]:
         if len(data) <= _MAX_SEED_BYTES:
             yield data

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -15,6 +13,7 @@ import pytest
 from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
+from support.started import printed_by
 
 from yolov5_lifecycle.settings.settings import SETTINGS
 
@@ -43,11 +42,19 @@ def module_name(path: Path) -> str:
     return ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
 
 
-MODULES = {
-    module_name(path): ast.parse(path.read_text())
-    for path in sorted(PACKAGE.rglob("*.py"))
-    if path.name != "__init__.py"
-}
+FILES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py")) if path.name != "__init__.py"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forgotten() -> Iterator[None]:
+    """The trees take 40 MB, which the tests of other files can do without."""
+    yield
+    tree_of.cache_clear()
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    return ast.parse(FILES[module].read_text())
 
 
 def imported_names(tree: ast.Module) -> set[str]:
@@ -64,8 +71,8 @@ def imported_names(tree: ast.Module) -> set[str]:
 @cache
 def imported_modules(module: str) -> set[str]:
     """The modules of this package that `module` imports."""
-    own = {name.removeprefix("yolov5_lifecycle.") for name in imported_names(MODULES[module])}
-    return MODULES.keys() & (own | {name.rpartition(".")[0] for name in own})
+    own = {name.removeprefix("yolov5_lifecycle.") for name in imported_names(tree_of(module))}
+    return FILES.keys() & (own | {name.rpartition(".")[0] for name in own})
 
 
 def folder_of(module: str) -> str:
@@ -87,29 +94,22 @@ def rank_of(module: str) -> tuple[int, int]:
 def test_a_folder_imports_lower_folders_only() -> None:
     assert [
         f"{module} imports {other}"
-        for module in MODULES
+        for module in FILES
         for other in imported_modules(module)
         if place_of(other) != place_of(module) and rank_of(other) >= rank_of(module)
     ] == []
 
 
 def test_no_module_imports_itself_in_a_circle() -> None:
-    sorter = TopologicalSorter({module: imported_modules(module) for module in MODULES})
+    sorter = TopologicalSorter({module: imported_modules(module) for module in FILES})
     try:
         sorter.prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
 
 
-def printed_by(program: str) -> str:
-    """What a new process prints."""
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    return run.stdout
-
-
 def modules_in(*folders: str) -> list[str]:
-    return [module for module in MODULES if folder_of(module) in folders]
+    return [module for module in FILES if folder_of(module) in folders]
 
 
 @pytest.mark.long
@@ -155,9 +155,9 @@ def test_a_node_sets_no_attribute_of_rclpys_nodes() -> None:
     assert "_parameters" in upstream
     assert [
         f"{module} sets {name}"
-        for module, tree in MODULES.items()
+        for module in FILES
         if module.endswith(".node")
-        for name in attributes_set(tree) & upstream
+        for name in attributes_set(tree_of(module)) & upstream
     ] == []
 
 
@@ -179,6 +179,32 @@ def test_importing_the_detector_loads_no_runtime_and_no_torch() -> None:
     assert printed_by(program) == "['yolov5_lifecycle.runtimes.runtime'] []\n"
 
 
+OF_EXECUTOR = ("ros.detector.", "ros.parameters.", "streaming.")
+"""What the executor of the detector runs."""
+BLOCKING = {"wait": 1, "join": 1, "acquire": 1, "wait_for": 2}
+"""Methods that wait for another thread, and how many arguments they have when the last one is the limit."""
+
+
+def has_limit(call: ast.Call, method: str) -> bool:
+    given = [*call.args, *(keyword.value for keyword in call.keywords)]
+    is_endless = any(isinstance(value, ast.Constant) and value.value is None for value in given)
+    return len(given) >= BLOCKING[method] and not is_endless
+
+
+def endless_waits(tree: ast.Module) -> Iterator[str]:
+    """Calls that may wait for ever."""
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        method = getattr(call.func, "attr", "")
+        if method in BLOCKING and not has_limit(call, method):
+            yield ast.unparse(call)
+
+
+def test_no_callback_in_the_executor_waits_without_a_limit() -> None:
+    run = [module for module in FILES if module.startswith(OF_EXECUTOR)]
+    assert {f"{module.rpartition('.')[0]}." for module in run} == set(OF_EXECUTOR)
+    assert [f"{module}: {call}" for module in run for call in endless_waits(tree_of(module))] == []
+
+
 def words_of(tree: ast.Module) -> Iterator[str]:
     """Every identifier, keyword and text constant."""
     for node in ast.walk(tree):
@@ -187,7 +213,5 @@ def words_of(tree: ast.Module) -> Iterator[str]:
 
 
 def test_every_setting_is_used() -> None:
-    used = {
-        word for module, tree in MODULES.items() if module != "settings.settings" for word in words_of(tree)
-    }
+    used = {word for module in FILES if module != "settings.settings" for word in words_of(tree_of(module))}
     assert [setting.name for setting in SETTINGS if setting.name not in used] == []

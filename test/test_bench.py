@@ -15,20 +15,16 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
-from support.random_model import random_model
 
-from benchmark import collecting, masks, precisions, report
+from benchmark import collecting, masks, report
 from benchmark.bench import set_max_rate
 from benchmark.camera_fleet import LAYOUTS, Layout, active_fleet
-from benchmark.cameras import equal_shares, slow_beside_fast
 from benchmark.collecting import NOTHING_KEPT, OFF, ONE_A_SECOND
 from benchmark.contender import Task, measure
 from benchmark.report import Goal, Program, row
 from benchmark.rivals import RIVALS, call_of
 from benchmark.work import image_file
 from yolov5_lifecycle.collecting.collected_files import kept_images
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
-from yolov5_lifecycle.runtimes.registry import installed_runtimes
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
 pytestmark = pytest.mark.long
@@ -92,14 +88,6 @@ def rows_of(answer: Any) -> NDArray[np.float32]:
     return np.asarray(rows).reshape(-1, 5 + len(CLASS_NAMES))
 
 
-@pytest.mark.skipif("openvino" not in installed_runtimes(), reason="no openvino: make install")
-def test_every_precision_of_the_processor_is_measured() -> None:
-    taken_ms = report.measured_ms(precisions.calls(random_model(), (64, 96)), turns=2)
-    expected = {f"fp32 in {name}" for name in installed_runtimes() if name != "torch"} | {precisions.INT8}
-    assert taken_ms.keys() == expected | ({"bf16 in openvino"} if has_bf16(abilities()) else set())
-    assert all(len(times_ms) == 2 for times_ms in taken_ms.values())
-
-
 # Nodes and cameras
 
 
@@ -125,16 +113,6 @@ def test_every_camera_of_a_layout_is_watched(layout: Layout, tmp_path: Path) -> 
     assert 50 < passage.proportional_mb <= passage.resident_mb
 
 
-@pytest.mark.usefixtures("_environment")
-def test_cameras_that_share_a_node_are_judged(tmp_path: Path) -> None:
-    image, names = image_file(IMAGE_HW, tmp_path), CAMERAS
-    with active_fleet("one node", names, weights=SHAPES, cache=tmp_path, image_size=128) as fleet:
-        rows, shares = equal_shares(fleet, names, image, rate_hz=10.0, duration_s=2.0)
-        _, delays = slow_beside_fast(fleet, CAMERAS, image, rates_hz=(5.0, 50.0), passages=[2.0])
-    assert rows[0].median > 0
-    assert (len(shares), len(delays)) == (1, 2)
-
-
 # Collected images
 
 
@@ -146,6 +124,3 @@ def test_a_detector_collects_as_the_figures_say(way: str, kept: int, tmp_path: P
     assert measured.cpu_s > 0
     found = len([*kept_images(tmp_path / "collected")]) if way != OFF else 0
     assert found == kept if way != ONE_A_SECOND else found >= kept
-
-
-# Console, masks, recordings

@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from rclpy.parameter import Parameter
+from std_msgs.msg import Header
 from support.colcon_workspace import REPOSITORY, published_files
 from support.pages import (
     MIGRATION,
@@ -24,9 +26,12 @@ from support.pages import (
     typed,
 )
 from support.preparations import Preparations
+from support.segmented_scene import CAT_XYXY, DOG_XYXY, labels
 from support.served_node import ServedNode
 
+from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.selection import class_ids
+from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.parameters.declaration import value_of
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS, SETTINGS_BY_NAME, validated
@@ -135,6 +140,17 @@ def test_the_readme_shows_how_an_unknown_class_is_refused() -> None:
     with pytest.raises(ValueError, match="circel") as refused:
         class_ids(["circel"], CLASS_NAMES)
     assert f"Setting parameter failed: classes: {refused.value}" in README.read_text()
+
+
+def test_the_page_on_masks_counts_the_pixels_of_each_object(capsys: pytest.CaptureFixture[str]) -> None:
+    boxes_xyxy = np.array([CAT_XYXY, DOG_XYXY], np.float32)
+    found = Detections(boxes_xyxy, np.array([0.9, 0.8], np.float32), np.array([0, 1]))
+    program: dict[str, Any] = {}
+    exec(blocks(REPOSITORY / "docs" / "masks.md", "python")[0], program)
+    array = messages.detection_array(found, ("cat", "dog"), Header())
+    program["on_both"](array, messages.image_message(labels(), "16UC1", Header()))
+    counts = [int((labels() == value).sum()) for value in (1, 2)]
+    assert capsys.readouterr().out == f"cat  {counts[0]} pixels\ndog  {counts[1]} pixels\n"
 
 
 def test_a_name_that_replaces_that_of_another_node_exists() -> None:

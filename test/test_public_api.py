@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import inspect
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,6 +15,9 @@ import pytest
 from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
 from support.pages import README, blocks
+from support.random_model import random_frame
+from support.small_families import segmentation_checkpoint
+from support.started import printed_by
 
 import yolov5_lifecycle
 from yolov5_lifecycle import Detections, Detector, load_model
@@ -54,12 +56,7 @@ def names(detections: Detections) -> Counter[str]:
 
 def without_ros(program: str) -> str:
     """What `program` prints in a clone of the repository, where rclpy cannot be imported."""
-    blocked = f"import sys\nsys.modules['rclpy'] = None\n{program}"
-    run = subprocess.run(
-        [sys.executable, "-c", blocked], cwd=REPOSITORY, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stderr
-    return run.stdout
+    return printed_by(f"import sys\nsys.modules['rclpy'] = None\n{program}", cwd=REPOSITORY)
 
 
 @pytest.mark.end_to_end
@@ -74,6 +71,19 @@ def test_the_page_on_python_detects_what_it_asks_for() -> None:
     program, prepared = blocks(REPOSITORY / "docs" / "python.md", "python")
     lines = without_ros(prepared + program).splitlines()
     assert Counter(line.partition(" ")[0] for line in lines) == Counter(circle=1, star=2)
+
+
+@pytest.mark.long
+def test_the_page_on_masks_gives_labels_and_masks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = blocks(REPOSITORY / "docs" / "masks.md", "python")[-1]
+    (tmp_path / "yolov5n-seg.pt").write_bytes(segmentation_checkpoint())
+    cv2.imwrite(str(tmp_path / "image.jpg"), random_frame(75, 100))
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, Any] = {}
+    exec(program, found)
+    labels, mask = found["labels"], found["mask"]
+    assert (labels.shape, labels.dtype, mask.dtype) == ((75, 100), np.uint16, np.bool_)
+    assert labels.any()
 
 
 def test_the_public_names_are_listed_and_no_other_is_there() -> None:

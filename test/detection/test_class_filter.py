@@ -94,7 +94,3 @@ def test_a_threshold_of_a_class_that_the_model_does_not_have_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         class_thresholds(entries, NAMES)
-
-
-def test_the_name_of_a_class_may_have_colons() -> None:
-    assert class_thresholds(["a: b: 0.5", "a: 0.25"], ("a", "a: b")) == ((0, 0.25), (1, 0.5))

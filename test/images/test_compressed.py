@@ -8,9 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from support import jpeg_builder as jpeg
-from support.compressed_files import smooth_bgr, smooth_file
+from support.compressed_files import image_file, smooth_bgr, smooth_file
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file, encode_jpeg
 from yolov5_lifecycle.images.encodings import decode_raw
@@ -31,12 +30,6 @@ def test_a_compressed_image_is_decoded(data: bytes, tolerance: int) -> None:
     np.testing.assert_allclose(image.pixels.astype(int), smooth_bgr(40, 60), atol=tolerance)
 
 
-def file(suffix: str, values: NDArray[Any]) -> bytes:
-    is_encoded, data = cv2.imencode(suffix, values)
-    assert is_encoded
-    return bytes(data)
-
-
 @pytest.mark.parametrize("channels", [1, 3, 4], ids=["grey", "colour", "transparent"])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16], ids=["8 bit", "16 bit"])
 def test_a_png_gives_its_colours_by_their_higher_bits(
@@ -45,18 +38,18 @@ def test_a_png_gives_its_colours_by_their_higher_bits(
     values = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (4, 6, channels), dtype)
     high = (values >> 8 * (values.itemsize - 1)).astype(np.uint8)
     expected = np.repeat(high, 3, axis=2) if channels == 1 else high[..., :3]
-    np.testing.assert_array_equal(decode_compressed(file(".png", values)).pixels, expected)
+    np.testing.assert_array_equal(decode_compressed(image_file(".png", values)).pixels, expected)
 
 
 GREY = smooth_bgr(40, 60)[..., 2]
 FILES = {
     "colour jpeg": smooth_file(".jpg"),
     "colour png": smooth_file(".png"),
-    "deep colour png": file(".png", smooth_bgr(40, 60).astype(np.uint16) * 257),
-    "grey jpeg": file(".jpg", GREY),
-    "grey png": file(".png", GREY),
-    "deep png": file(".png", GREY.astype(np.uint16) * 99),
-    "tiff": file(".tiff", GREY),
+    "deep colour png": image_file(".png", smooth_bgr(40, 60).astype(np.uint16) * 257),
+    "grey jpeg": image_file(".jpg", GREY),
+    "grey png": image_file(".png", GREY),
+    "deep png": image_file(".png", GREY.astype(np.uint16) * 99),
+    "tiff": image_file(".tiff", GREY),
     "nothing": b"",
 }
 NO_VALUES = "compressed image of '{}' is not supported. {} the publisher send colours or grey of 8 bits"

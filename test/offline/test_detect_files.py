@@ -14,8 +14,9 @@ import pytest
 from pycocotools import mask as coco
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import Image
-from support.damaged_images import claiming_too_much
+from support.compressed_files import claiming_too_much
 from support.detected_offline import SET_MODEL, published, run
+from support.detector_process import Sighting
 from support.recorded_scene import (
     COUNT,
     SIZE_HW,
@@ -25,7 +26,6 @@ from support.recorded_scene import (
 )
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment, segmented, whole_masks
-from support.sighting import Sighting
 
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support import png_builder
-from support.damaged_images import claiming_too_much
+from support.compressed_files import claiming_too_much
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.hostile_images import HOSTILE_JPEGS
 

@@ -73,15 +73,6 @@ def test_sparse_depth_has_a_surface(every: int) -> None:
     assert 1.2 < far < 1.35
 
 
-def test_every_box_has_its_own_surface() -> None:
-    depth_m = np.full((80, 160), 4.0, np.float32)
-    depth_m[30:50, 30:50], depth_m[30:50, 110:130] = 1.0, 2.0
-    boxes = np.array([[30, 30, 50, 50], [110, 30, 130, 50]], np.float32)
-    near, far = surfaces_m(DepthImage(depth_m, 1.0), boxes)
-    assert extents(near) == (1.0, 1.0)
-    assert extents(far) == (2.0, 2.0)
-
-
 FLOOR_BOX = np.array([[60, 40, 100, 80]], np.float32)
 ROWS, COLUMNS = np.mgrid[0:120, 0:160]
 IN_FLOOR_BOX = (ROWS >= 40) & (ROWS < 80) & (COLUMNS >= 60) & (COLUMNS < 100)

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import functools
+import struct
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-KINDS = ("colour.png", "grey.png", "deep.png", "baseline.jpg", "progressive.jpg", "grey.jpg")
 
-
-@functools.cache
-def compressed(kind: str) -> bytes:
-    """A whole file of a few pixels."""
-    noise = np.random.default_rng(0).integers(0, 256, (9, 12, 3), np.uint8)
-    pixels = {"grey": noise[..., 0], "deep": noise.astype(np.uint16) * 257}.get(kind.split(".")[0], noise)
-    flags = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1] if kind.startswith("progressive") else []
-    is_encoded, data = cv2.imencode(kind[-4:], pixels, flags)
+def image_file(suffix: str, values: NDArray[Any], *flags: int) -> bytes:
+    """A file of that kind, as OpenCV writes it."""
+    is_encoded, data = cv2.imencode(suffix, values, flags)
     assert is_encoded
-    return np.asarray(data).tobytes()
+    return bytes(data)
 
 
 def smooth_bgr(height: int, width: int) -> NDArray[np.uint8]:
@@ -30,6 +25,10 @@ def smooth_bgr(height: int, width: int) -> NDArray[np.uint8]:
 
 def smooth_file(suffix: str, *flags: int) -> bytes:
     """`smooth_bgr(40, 60)` as a file of that kind."""
-    is_encoded, data = cv2.imencode(suffix, smooth_bgr(40, 60), flags)
-    assert is_encoded
-    return bytes(data)
+    return image_file(suffix, smooth_bgr(40, 60), *flags)
+
+
+def claiming_too_much() -> bytes:
+    """A file whose header claims more pixels (40000 x 40000) than OpenCV takes in."""
+    data = image_file(".bmp", np.zeros((1, 1, 3), np.uint8))
+    return data[:18] + struct.pack("<ii", 40_000, 40_000) + data[26:]

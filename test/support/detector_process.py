@@ -1,4 +1,4 @@
-"""The installed `detector` as a process of its own, and everything a client needs to try it."""
+"""The installed `detector` and `camera` as processes of their own, and what a client needs to try them."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ import textwrap
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from numpy.typing import NDArray
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import ListParameters, SetParameters
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
 
-from support.sighting import Sighting
 from support.worker import worker_domain
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated
+from yolov5_lifecycle.ros.demo.demonstrations import boxes_xyxy, class_names
 from yolov5_lifecycle.ros.messages import image_message, stamp_ns
 from yolov5_lifecycle.ros.observer import Observer, RemoteLifecycleNode
 from yolov5_lifecycle.settings.schema import Change
@@ -48,6 +51,20 @@ STEPS = {
     ("active", "unconfigured"): "deactivate",
     ("active", "inactive"): "deactivate",
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Classes, scores and boxes (n, 4), in pixels of the source, of the objects in one image."""
+
+    class_names: tuple[str, ...]
+    scores: tuple[float, ...]
+    boxes_xyxy: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, message: Detection2DArray) -> Sighting:
+        scores = tuple(detection.results[0].hypothesis.score for detection in message.detections)
+        return cls(tuple(class_names(message)), scores, boxes_xyxy(message))
 
 
 class DetectorProcess:
@@ -143,6 +160,12 @@ def detector_process(*arguments: str) -> Iterator[DetectorProcess]:
         closing(Observer("client", domain=domain, check=process.check_running)) as observer,
     ):
         yield DetectorProcess(process, observer, domain)
+
+
+@contextmanager
+def camera_process(domain: int, *arguments: str) -> Iterator[ChildProcess]:
+    with ChildProcess("camera", [entry_point("camera"), *arguments], environment(domain)) as process:
+        yield process
 
 
 def environment(domain: int) -> dict[str, str]:

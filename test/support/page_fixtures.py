@@ -10,7 +10,6 @@ import pytest
 from selenium.webdriver import Chrome
 
 from support.browser import DESKTOP, PHONE, chromium, set_screen
-from support.camera_process import camera_process
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.detector_process import (
@@ -18,6 +17,7 @@ from support.detector_process import (
     PARAMETERS,
     DetectorProcess,
     as_arguments,
+    camera_process,
     detector_process,
 )
 from yolov5_lifecycle.ros.child_process import ChildProcess

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.scripted_runtime import ScriptedRuntime
-from support.served_node import PATIENCE_S
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.lane_choice import Lanes
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.settings.settings import Settings
 
 CLASS_NAMES = ("cat", "dog")

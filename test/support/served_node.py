@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import gc
+import os
 import threading
-import time
 from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -35,11 +34,9 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
 from yolov5_lifecycle.ros.parameters.settings_parameters import Validate
 from yolov5_lifecycle.settings.settings import validated
-
-PATIENCE_S = 60.0
-
 
 _SERVICES = {
     "collect": Trigger,
@@ -70,8 +67,7 @@ class ServedNode:
         # A node of an earlier test, still in a reference cycle, would keep the publisher of /rosout, which
         # rcl registers by node name: https://github.com/ros2/rcl/blob/jazzy/rcl/src/rcl/logging_rosout.c
         gc.collect()
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, args=[])
+        self.client = Observer("client", domain=int(os.environ["ROS_DOMAIN_ID"]))
         assignments = [word for parameter in parameters for word in ("-p", parameter)]
         words = [*arguments, *(["--ros-args", *assignments] if assignments else [])]
         self.node = DetectorNode(
@@ -79,17 +75,14 @@ class ServedNode:
             validate=validate,
             rest_timeout_s=rest_timeout_s,
             diagnostics_period_s=0.1,
-            context=self._context,
+            context=self.client.context,
             cli_args=words,
             arguments=words,
         )
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = SingleThreadedExecutor(context=self.client.context)
         self._executor.add_node(self.node)
         self._stopping = False
         self._thread = threading.Thread(target=self._serve)
-        self.client = rclpy.create_node("client", context=self._context)
-        self._client_executor = SingleThreadedExecutor(context=self._context)
-        self._client_executor.add_node(self.client)
         self.escaped: list[Exception] = []
         self.detections: list[Detection2DArray] = []
         self.diagnostics: list[DiagnosticArray] = []
@@ -118,10 +111,8 @@ class ServedNode:
         self._thread.join(PATIENCE_S)
         assert not self._thread.is_alive(), "a callback of the node hangs: destroying the node would crash"
         self.node.close()
-        self.client.destroy_node()
-        for executor in (self._executor, self._client_executor):
-            executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
-        rclpy.shutdown(context=self._context)
+        self._executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
+        self.client.close()
 
     def _serve(self) -> None:
         while not self._stopping:
@@ -135,10 +126,7 @@ class ServedNode:
 
     def wait_for(self, condition: Callable[[], bool], what: str) -> None:
         """Spin the client until `condition`, or fail after a while."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < deadline_s, f"timed out waiting for {what}"
-            self._client_executor.spin_once(timeout_sec=0.02)
+        self.client.wait_for(condition, what)
 
     def wait_for_log(self, text: str) -> None:
         """Wait until the node has said `text`."""
@@ -151,18 +139,14 @@ class ServedNode:
         return client.call_async(request)
 
     def call(self, service: str, request: Any) -> Any:
-        future = self.begin(service, request)
-        self.wait_for(future.done, f"an answer of {service}")
-        return future.result()
+        return self.client.call(self._services[service], request)
 
-    def begin_transition(self, label: str, transition_id: int = 0) -> Any:
-        transition = Transition(id=transition_id, label=label)
-        return self.begin("change_state", ChangeState.Request(transition=transition))
+    def begin_transition(self, label: str) -> Any:
+        return self.begin("change_state", ChangeState.Request(transition=Transition(label=label)))
 
     def transition(self, label: str, transition_id: int = 0) -> bool:
-        future = self.begin_transition(label, transition_id)
-        self.wait_for(future.done, f"the answer to {label}")
-        return bool(future.result().success)
+        transition = Transition(id=transition_id, label=label)
+        return bool(self.call("change_state", ChangeState.Request(transition=transition)).success)
 
     def bring_to(self, state: str) -> None:
         """Walk from unconfigured to `state`."""

@@ -1,10 +1,13 @@
-"""A process that ends with the block that started it."""
+"""Processes that end with the block that started them, and what programs print."""
 
 from __future__ import annotations
 
+import os
 import subprocess
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 
@@ -19,3 +22,12 @@ def started(words: Sequence[object], **options: Any) -> Iterator[subprocess.Pope
             yield process
         finally:
             process.kill()
+
+
+def printed_by(program: str, *, cwd: Path | None = None, variables: Mapping[str, str] = {}) -> str:
+    """What a new Python prints that runs `program` to its end, with more environment `variables`."""
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=cwd, env=os.environ | variables, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout

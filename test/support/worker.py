@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from yolov5_lifecycle.process.memory import available_bytes
 from yolov5_lifecycle.ros.child_process import DOMAINS, own_domain
 
 _NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
@@ -23,14 +24,7 @@ _WORKER_BYTES = 2 << 30
 
 def suitable_count() -> int:
     """How many workers this machine has room for: one more than cores, as tests of nodes also wait."""
-    return max(1, min(_cores() + 1, _available_bytes() // _WORKER_BYTES, _MAX_COUNT))
-
-
-def _available_bytes() -> int:
-    """Memory that can be had without swapping, caches of files included."""
-    lines = Path("/proc/meminfo").read_text().splitlines()
-    (kilobytes,) = (line.split()[1] for line in lines if line.startswith("MemAvailable:"))
-    return int(kilobytes) * 1024
+    return max(1, min(_cores() + 1, (available_bytes() or 0) // _WORKER_BYTES, _MAX_COUNT))
 
 
 def _cores() -> int:

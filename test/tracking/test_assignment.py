@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 import sys
 from collections.abc import Sequence
 
@@ -13,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from support.started import printed_by
 
 from yolov5_lifecycle.tracking.assignment import best_pairs, iou_matrix
 
@@ -75,6 +75,6 @@ def test_without_scipy_the_tracker_is_refused_with_a_remedy() -> None:
         "try:\n    ByteTracker(itertools.count(1))\n"
         "except ValueError as error:\n    print(error)\n"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "scipy, which is not installed" in run.stdout
-    assert f"{sys.executable} -m pip install scipy" in run.stdout
+    told = printed_by(program)
+    assert "scipy, which is not installed" in told
+    assert f"{sys.executable} -m pip install scipy" in told

@@ -18,7 +18,6 @@ from yolov5_lifecycle.tracking.motion import Similarity
 SIZE_HW = (480, 640)
 NO_BOXES = np.zeros((0, 4), np.float32)
 BACKGROUND = cluttered_background(np.random.default_rng(3), SIZE_HW)
-NOISE = np.random.default_rng(4).normal(0, 2, (4, *SIZE_HW, 3))
 
 
 def moved_by(matrix: Similarity) -> ColourImage:
@@ -54,7 +53,8 @@ def test_the_motion_of_the_camera_is_found(matrix: Similarity) -> None:
 
 
 def test_a_camera_that_stands_still_moves_nothing() -> None:
-    noisy = [ColourImage(np.clip(BACKGROUND + each, 0, 255).astype(np.uint8), "rgb") for each in NOISE]
+    noise = np.random.default_rng(4).normal(0, 2, (4, *SIZE_HW, 3))
+    noisy = [ColourImage(np.clip(BACKGROUND + each, 0, 255).astype(np.uint8), "rgb") for each in noise]
     assert found(*noisy) == [None] * 3
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
-from support.damaged_images import claiming_too_much
+from support.compressed_files import claiming_too_much
 from support.detected_offline import prepare_raising
 from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, report_of, run, shapes
 from support.recorded_scene import raw, record

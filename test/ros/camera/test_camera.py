@@ -14,11 +14,9 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from support.camera_info_file import camera_info_url
-from support.camera_process import END_S, camera_process
-from support.detector_process import as_arguments
+from support.detector_process import Sighting, as_arguments, camera_process
 from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.lone_node import lone_node
-from support.sighting import Sighting
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
@@ -27,7 +25,7 @@ from yolov5_lifecycle.ros.camera import outputs
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs, jpeg_message
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
-from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, label_image
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
 from yolov5_lifecycle.sources.source import open_source
@@ -137,7 +135,7 @@ def test_a_video_played_once_reaches_a_subscriber_completely(
     arguments = as_arguments({"source": str(video), "loop": "false", "rate": 1000})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
         observer.wait_for(lambda: len(images) == len(GREYS), "every image")
-        assert camera.wait(END_S) == 0
+        assert camera.wait(PATIENCE_S) == 0
     assert [nearest_grey(image_of_message(image)) for image in images] == [*GREYS]
     assert "waiting for a subscriber to /image_raw\n" in camera.output
     assert "publishing 32 x 24 (rgb8) at 1000 images per second on /image_raw\n" in camera.output

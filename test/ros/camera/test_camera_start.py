@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 from support.camera_info_file import camera_info_url
-from support.camera_process import END_S, camera_process
 from support.colcon_workspace import REPOSITORY
-from support.detector_process import as_arguments
+from support.detector_process import as_arguments, camera_process
 from support.grey_images import grey_folder
 
 from yolov5_lifecycle.ros.camera.settings import SCHEMA, CameraSettings
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.settings.schema import SettingsError
 
 RAW_QOS = "qos_overrides./image_raw.publisher"
@@ -42,7 +42,7 @@ def test_a_hanging_source_does_not_delay_the_end(ros_domain: int, tmp_path: Path
 @pytest.mark.long
 def test_a_source_that_cannot_be_opened_ends_the_process_with_the_reason(ros_domain: int) -> None:
     with camera_process(ros_domain, "--ros-args", "-p", "source:=/nowhere.mp4") as camera:
-        assert camera.wait(END_S) == 1
+        assert camera.wait(PATIENCE_S) == 1
     assert "'/nowhere.mp4' is neither" in camera.output
 
 
@@ -52,7 +52,7 @@ def test_images_of_another_size_than_the_calibration_end_the_process_with_the_re
     folder = grey_folder(tmp_path)
     arguments = as_arguments({"source": str(folder), "camera_info_url": camera_info_url(folder, 64, 48)})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
-        assert camera.wait(END_S) == 1
+        assert camera.wait(PATIENCE_S) == 1
     assert "The images are 32 x 24, but camera_info_url has the calibration for 64 x 48" in camera.output
 
 
@@ -91,6 +91,6 @@ def test_a_wrong_parameter_is_explained(
     ros_domain: int, parameters: dict[str, object], told: list[str]
 ) -> None:
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        assert camera.wait(END_S) == 2
+        assert camera.wait(PATIENCE_S) == 2
     assert all(word in camera.output for word in told), camera.output
     assert "Traceback" not in camera.output

@@ -26,13 +26,14 @@ from support.console_process import ConsoleClient, Page, address, console_proces
 from support.detector_process import NODE
 from support.lone_node import lone_node
 from support.preparations import Preparations
-from support.served_node import PATIENCE_S, ServedNode
+from support.served_node import ServedNode
 from support.worker import worker_domain
 from vision_msgs.msg import LabelInfo, VisionClass
 from websockets.exceptions import ConnectionClosed
 
 from yolov5_lifecycle.ros.child_process import isolated
 from yolov5_lifecycle.ros.console.detectors import MAX_DETECTORS
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.settings.settings import SETTINGS
 
 

@@ -11,12 +11,13 @@ from rclpy.node import Node
 from support.detector_process import NODE
 from support.lone_node import lone_node
 from support.preparations import Preparations
-from support.served_node import PATIENCE_S, ServedNode
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.console import detector
 from yolov5_lifecycle.ros.console.detector import Detector
 from yolov5_lifecycle.ros.console.ros_thread import RosThread
 from yolov5_lifecycle.ros.console.views import LogView
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
 class HeldDetector(Detector):

@@ -15,10 +15,15 @@ from numpy.typing import NDArray
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from sensor_msgs.msg import CompressedImage
-from support.camera_process import camera_process
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
-from support.detector_process import NODE, PARAMETERS, as_arguments, environment
+from support.detector_process import (
+    NODE,
+    PARAMETERS,
+    as_arguments,
+    camera_process,
+    environment,
+)
 from support.page_fixtures import CAMERA, ConsoleRobot, opened
 from support.worker import worker_domain
 

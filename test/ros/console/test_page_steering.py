@@ -12,9 +12,8 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
-from support.detector_process import NODE, PARAMETERS
+from support.detector_process import NODE, PARAMETERS, Sighting
 from support.page_fixtures import ConsoleRobot, console_robot, opened
-from support.sighting import Sighting
 
 from yolov5_lifecycle.collecting.collected_files import kept_images
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file

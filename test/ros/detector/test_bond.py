@@ -12,11 +12,11 @@ from bond.msg import Status
 from lifecycle_msgs.msg import Transition
 from support.detector_process import PARAMETERS, as_arguments, detector_process
 from support.preparations import Preparations, prediction
-from support.served_node import PATIENCE_S, ServedNode
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
 from yolov5_lifecycle.ros.detector.command import FINALIZED_S
-from yolov5_lifecycle.ros.observer import Observer
+from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
 
 MANY = 15
 """Heartbeats: more than can wait in a queue."""

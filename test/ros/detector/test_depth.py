@@ -16,9 +16,10 @@ from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_messa
 from support.depth_scene import CAMERA, random_depth_scene
 from support.lone_node import lone_node
 from support.preparations import Preparations, prediction
-from support.served_node import PATIENCE_S, ServedNode
+from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.spatial.placement import Box3D, Unplaced
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY
 

@@ -19,7 +19,7 @@ from support.preparations import Preparations, prediction
 from support.runtime_names import EVERY_RUNTIME
 from support.scripted_runtime import ScriptedRuntime
 from support.segmented_scene import SIZE_HW, MasksSubscriber, SegmentingModel
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of
+from support.served_node import ServedNode, class_ids_of
 from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection import detector
@@ -31,6 +31,7 @@ from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.detector.depth import DepthInput
 from yolov5_lifecycle.ros.detector.node import EXIT_ABANDONED_SESSIONS
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REST_TIMEOUT_S
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.tracking.byte_tracker import ByteTracker
 

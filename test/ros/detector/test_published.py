@@ -26,7 +26,7 @@ from support.segmented_scene import (
     pixels,
     rows,
 )
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+from support.served_node import ServedNode, class_ids_of, image
 from support.small_families import segmentation_checkpoint
 
 from yolov5_lifecycle import load_model
@@ -36,6 +36,7 @@ from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.messages import image_message, image_of_message
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 
 # Annotated images

@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 from support.preparations import Preparations, prediction
 from support.random_model import random_model
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of, image
+from support.served_node import ServedNode, class_ids_of, image
 
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import prepare_model
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
 def test_a_reload_swaps_the_model_and_frees_the_old_one(served: ServedNode, prepare: Preparations) -> None:

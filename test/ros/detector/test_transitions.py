@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 from std_msgs.msg import String
 from support.preparations import Preparations
-from support.served_node import PATIENCE_S, ServedNode, class_ids_of
+from support.served_node import ServedNode, class_ids_of
 
 from yolov5_lifecycle.ros.detector.node import EXIT_DEVICE_LOST
+from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 
 LEGAL = {
