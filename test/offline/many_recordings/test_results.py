@@ -21,10 +21,9 @@ from yolov5_lifecycle.offline.export.formats import FORMATS
 from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
 from yolov5_lifecycle.offline.many_recordings.results import (
     RECORD_NAME,
-    Record,
     RecordingResult,
     finished_before,
-    recording_digest,
+    origin,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.quantization.calibration_file import path_beside
@@ -168,12 +167,9 @@ def result(source: SourceRecording, tmp_path: Path) -> Path:
     folder, plan = tmp_path / "found" / "drive", plan_for(tmp_path / "found")
     folder.mkdir(parents=True)
     (folder / "drive.mcap").write_bytes(b"detections")
-    Record(
-        weights_sha256=plan.settings.weights_sha256,
-        settings_sha256=plan.settings_sha256,
-        recording_sha256=recording_digest(source.path),
-        result=RecordingResult(recording="drive", path="/before", state="done", images=3),
-    ).write(folder)
+    made_from = origin(source.path, plan)
+    row = RecordingResult(recording="drive", path="/before", state="done", images=3, made_from=made_from)
+    (folder / RECORD_NAME).write_text(row.model_dump_json())
     return folder
 
 
