@@ -15,7 +15,7 @@ from support.recorded_scene import video
 
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.export.image_outputs import AnnotatedVideo, is_whole_video
+from yolov5_lifecycle.offline.export.image_outputs import annotated_video, is_whole_video
 from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile
 from yolov5_lifecycle.sources.frames import SourceError
 
@@ -62,12 +62,11 @@ def written(path: Path, *sizes_hw: tuple[int, int]) -> Path:
     """A frame of noise of each size, as `detect_bag` writes them."""
     generator = np.random.default_rng(0)
     undrawn: Any = SimpleNamespace(drawn=lambda image, _: image)
-    output = AnnotatedVideo(path, 12.5, undrawn)
-    for size_hw in sizes_hw:
-        image = ColourImage(generator.integers(0, 256, (*size_hw, 3), np.uint8), "bgr")
-        found: Any = SimpleNamespace(image=image, detections=None)
-        output.add(found)
-    output.finish()
+    with annotated_video(path, 12.5, undrawn) as write:
+        for size_hw in sizes_hw:
+            image = ColourImage(generator.integers(0, 256, (*size_hw, 3), np.uint8), "bgr")
+            found: Any = SimpleNamespace(image=image, detections=None)
+            write(found)
     return path
 
 

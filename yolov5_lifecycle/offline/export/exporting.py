@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,13 +11,12 @@ from pathlib import Path
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage, NamedImage, Sink
-from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, check_stems
+from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics, StoredImage
+from yolov5_lifecycle.offline.export.formats import FORMATS, YOLO, DetectedImage, Output, check_stems
 from yolov5_lifecycle.offline.export.image_outputs import (
-    AnnotatedImages,
-    AnnotatedVideo,
     Crops,
+    annotated_images,
+    annotated_video,
     check_video_name,
 )
 from yolov5_lifecycle.offline.image_files import VideoFile, has_still_images, image_files
@@ -71,43 +70,38 @@ def write_files(source: Path, export: Export, load: LoadDetector) -> RunStatisti
         video = VideoFile.open(source)
         if annotated:
             check_video_name(annotated)
-        film = partial(AnnotatedVideo, annotated, video.rate_hz) if annotated else None
+        film = partial(annotated_video, annotated, video.rate_hz) if annotated else None
         return export_images(video.frames, video.claimed_frames, export, load, film)
     files = image_files(source)
     if export.suffix == YOLO:
         check_stems(files)
-    drawings = partial(AnnotatedImages, annotated, source.is_dir()) if annotated else None
+    drawings = partial(annotated_images, annotated, source.is_dir()) if annotated else None
     return export_images(files, len(files), export, load, drawings)
 
 
 def export_images(
-    images: Iterable[NamedImage],
+    images: Iterable[StoredImage],
     expected: int,
     export: Export,
     load: LoadDetector,
-    further: Callable[[OfflineDetector], Sink] | None = None,
+    further: Callable[[OfflineDetector], Output] | None = None,
 ) -> RunStatistics:
     """Write the detections in `images`, of which there are `expected`, and open a `further` output first.
 
     Raises OutputError, OSError, DetectingError and what `load` raises; then the outputs are damaged.
     """
     detector = load()
-    sinks: list[Sink] = []
-
-    def write(named: NamedImage, image: ColourImage, detections: Detections) -> None:
-        found = DetectedImage(named, image, detections)
-        for sink in sinks:
-            sink.add(found)
-
     with ExitStack() as stack:
-        if further is not None:
-            sinks.append(stack.enter_context(closing(further(detector))))
+        outputs = [] if further is None else [stack.enter_context(further(detector))]
         if export.crops is not None:
-            sinks.append(Crops(export.crops, detector.class_names))
+            outputs.append(Crops(export.crops, detector.class_names).write)
         if export.suffix:
-            new = FORMATS[export.suffix](export.path, detector.class_names, masks=export.masks)
-            sinks.append(stack.enter_context(closing(new)))
-        statistics = detector.run(images, expected=expected, write=write)
-        for sink in sinks:
-            sink.finish()
-    return statistics
+            opened = FORMATS[export.suffix].open(export.path, detector.class_names, export.masks)
+            outputs.append(stack.enter_context(opened))
+
+        def write(stored: StoredImage, image: ColourImage, detections: Detections) -> None:
+            found = DetectedImage(stored, image, detections)
+            for output in outputs:
+                output(found)
+
+        return detector.run(images, expected=expected, write=write)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import errno
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.images.encodings import encoded
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import OfflineDetector
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
+from yolov5_lifecycle.offline.export.formats import DetectedImage, Write
 from yolov5_lifecycle.printable import in_one_line, is_utf8
 
 MAX_CROPS = 1_000_000
@@ -57,64 +58,56 @@ def check_video_name(path: Path) -> None:
         )
 
 
-class AnnotatedImages(Sink):
+@contextmanager
+def annotated_images(path: Path, is_folder: bool, detector: OfflineDetector) -> Iterator[Write]:
     """Images that `detector` draws, in the new folder `path`, or a single one."""
+    if is_folder:
+        path.mkdir()
 
-    def __init__(self, path: Path, is_folder: bool, detector: OfflineDetector) -> None:
-        self._path = path
-        self._is_folder = is_folder
-        self._detector = detector
-        if is_folder:
-            path.mkdir()
+    def write(found: DetectedImage) -> None:
+        name = Path(str(found.stored.identity["file"])).name
+        write_image(path / name if is_folder else path, detector.drawn(found.image, found.detections))
 
-    def add(self, found: DetectedImage) -> None:
-        name = Path(str(found.named.identity["file"])).name
-        drawn = self._detector.drawn(found.image, found.detections)
-        write_image(self._path / name if self._is_folder else self._path, drawn)
+    yield write
 
 
-class AnnotatedVideo(Sink):
-    """A video file of `rate_hz`, whose frames `detector` draws, each resized to the size of the first."""
+@contextmanager
+def annotated_video(path: Path, rate_hz: float, detector: OfflineDetector) -> Iterator[Write]:
+    """A video file of `rate_hz`, whose frames `detector` draws, each resized to the size of the first.
 
-    def __init__(self, path: Path, rate_hz: float, detector: OfflineDetector) -> None:
-        self._path = path
-        self._rate_hz = rate_hz
-        self._detector = detector
-        self._writer: Any = None
-        self._size_hw = (0, 0)
+    Raises OutputError if this OpenCV cannot write the format, and if the file lacks its end.
+    """
+    writer: Any = None
+    size_hw = (0, 0)
 
-    def add(self, found: DetectedImage) -> None:
-        """Append a frame; raises OutputError if this OpenCV cannot write the format."""
-        drawn = self._detector.drawn(found.image, found.detections)
+    def write(found: DetectedImage) -> None:
+        nonlocal writer, size_hw
+        drawn = detector.drawn(found.image, found.detections)
         frame: NDArray[np.uint8] = encoded(drawn, "bgr8")
-        if self._writer is None:
-            self._writer = self._opened(drawn.size_hw)
-            self._size_hw = drawn.size_hw
-        if drawn.size_hw != self._size_hw:  # OpenCV silently drops frames of another size
-            frame = np.asarray(cv2.resize(frame, self._size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
-        self._writer.write(np.ascontiguousarray(frame))
+        if writer is None:
+            size_hw = drawn.size_hw
+            writer = _video_writer(path, rate_hz, size_hw)
+        if drawn.size_hw != size_hw:  # OpenCV silently drops frames of another size
+            frame = np.asarray(cv2.resize(frame, size_hw[::-1], interpolation=cv2.INTER_AREA), np.uint8)
+        writer.write(np.ascontiguousarray(frame))
 
-    def finish(self) -> None:
-        """Complete the file; raises OutputError if it lacks its end, and OSError."""
-        self.close()
-        if self._writer is not None and not is_whole_video(self._path):
-            raise OutputError(
-                f"{self._path.name}: the video could not be written completely; is the disk full?"
-            )
+    try:
+        yield write
+    finally:
+        if writer is not None:
+            writer.release()
+    if writer is not None and not is_whole_video(path):
+        raise OutputError(f"{path.name}: the video could not be written completely; is the disk full?")
 
-    def close(self) -> None:
-        if self._writer is not None:
-            self._writer.release()
 
-    def _opened(self, size_hw: tuple[int, int]) -> Any:
-        codec = cv2.VideoWriter.fourcc(*"mp4v")
-        writer = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size_hw[::-1])
-        if not writer.isOpened():
-            raise OutputError(
-                f"{self._path.name}: OpenCV cannot write an .mp4 of {self._rate_hz:g} frames per second. "
-                "Install opencv-python-headless, or convert the source to another rate with FFmpeg."
-            )
-        return writer
+def _video_writer(path: Path, rate_hz: float, size_hw: tuple[int, int]) -> Any:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, size_hw[::-1])
+    if not writer.isOpened():
+        raise OutputError(
+            f"{path.name}: OpenCV cannot write an .mp4 of {rate_hz:g} frames per second. "
+            "Install opencv-python-headless, or convert the source to another rate with FFmpeg."
+        )
+    return writer
 
 
 def is_whole_video(path: Path) -> bool:
@@ -138,7 +131,7 @@ def is_whole_video(path: Path) -> bool:
     return end == size and {b"mdat", b"moov"} <= names
 
 
-class Crops(Sink):
+class Crops:
     """Writes the new folder `path`: `<class id>_<class name>/<image>_<row>.jpg` for each detection.
 
     Detections of one image are numbered from 0, the highest score first.
@@ -152,11 +145,11 @@ class Crops(Sink):
         self._folders = [path / f"{number}_{name}" for number, name in enumerate(names)]
         self._count = 0
 
-    def add(self, found: DetectedImage) -> None:
+    def write(self, found: DetectedImage) -> None:
         """Write the crops; raises OutputError beyond MAX_CROPS, and OSError when the disk is nearly full."""
         self._check_room(len(found.detections))
         height, width = found.image.size_hw
-        name = Path(str(found.named.identity.get("file", found.named.stem))).name  # a.png is not a.jpg
+        name = Path(str(found.stored.identity.get("file", found.stored.stem))).name  # a.png is not a.jpg
         for row, class_id in enumerate(found.detections.class_ids.tolist()):
             x1, y1, x2, y2 = found.inside_xyxy[row].tolist()
             left, top = min(int(x1), width - 1), min(int(y1), height - 1)
