@@ -1,6 +1,6 @@
 """Detections, class names and images as messages, of ROS's classes or of others with the same fields.
 
-`types` has the classes as attributes, as the module `vision_msgs.msg` does, and each can be called with some of
+`types` has the classes as attributes, as the module `vision_msgs.msg` does; each can be called with some of
 its fields: the others have ROS's defaults.
 """
 
