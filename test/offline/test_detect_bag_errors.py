@@ -85,7 +85,7 @@ def a_video(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("make", "words", "told"),
     [
-        pytest.param(no_images, [], "in it, only: /chatter. Record", id="no images"),
+        pytest.param(no_images, [], "only: /chatter (std_msgs/msg/String, cdr). Record", id="no images"),
         pytest.param(
             two_topics, [], "one of its image topics with --topic:\n  /left  sensor", id="two topics"
         ),

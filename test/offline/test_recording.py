@@ -70,14 +70,6 @@ def test_every_image_of_a_legal_file_is_read(content: bytes, tmp_path: Path) -> 
     assert [image.timestamp_ns for image in found] == [recorded_ns(number) for number in range(COUNT)]
 
 
-def test_channels_that_are_not_of_ros_2_are_named_and_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "drive.mcap").write_bytes(mcap([LIDAR + CAMERA, *IMAGES[:1]]))
-    assert run([str(tmp_path / "drive.mcap"), "--output", str(tmp_path / "found"), *SET_MODEL]) == 0
-    assert "left out, not of ROS 2: /lidar (protobuf)" in capsys.readouterr().err
-
-
 def test_fewer_images_than_a_recording_claims_are_an_exit_code_and_counted_in_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

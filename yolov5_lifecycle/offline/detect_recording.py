@@ -31,7 +31,6 @@ from yolov5_lifecycle.offline.recording import TYPES, RecordedMessage, Recording
 from yolov5_lifecycle.offline.stored_messages import StoredTopic
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8
-from yolov5_lifecycle.process.standard_streams import complain
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABELS = "vision_msgs/msg/LabelInfo"
@@ -45,8 +44,6 @@ def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStat
     OSError, DetectingError and what `load` raises.
     """
     with open_recording(source) as recording:
-        if recording.foreign:
-            complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
         topic = recording.image_topic(export.topic)
         images = _not_empty(source, topic, recording.messages(topic))
         if not export.suffix and export.path is not None and not is_utf8(export.path.name):

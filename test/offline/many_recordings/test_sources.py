@@ -53,9 +53,7 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
         pytest.param(
             ["monday/notes.txt", "files"], "notes.txt: expected ros2 bag recordings", id="no recording"
         ),
-        pytest.param(
-            ["monday", "shots/0.png"], "A folder of images is a source .* give it alone", id="image"
-        ),
+        pytest.param(["monday", "shots/0.png"], "A folder of images is .* give it alone", id="image"),
         pytest.param(["found"], "found: it is in the folder of results", id="results"),
         pytest.param(["dots/..mcap"], "dots/..mcap: its result cannot have that name", id="dots"),
         pytest.param(
