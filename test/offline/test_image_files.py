@@ -15,7 +15,7 @@ from support.recorded_scene import video
 
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.offline.detect_bag import main
-from yolov5_lifecycle.offline.export.image_outputs import annotated_video, is_whole_video
+from yolov5_lifecycle.offline.export.exporting import annotated_video, is_whole_video
 from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile
 from yolov5_lifecycle.sources.frames import SourceError
 

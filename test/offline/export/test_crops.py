@@ -16,9 +16,9 @@ from support.recorded_scene import COUNT, SIZE_HW, video
 from yolov5_lifecycle.atomic_file import OutputError
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.offline.export import image_outputs
+from yolov5_lifecycle.offline.export import exporting
+from yolov5_lifecycle.offline.export.exporting import MIN_FREE_BYTES, Crops
 from yolov5_lifecycle.offline.export.formats import DetectedImage
-from yolov5_lifecycle.offline.export.image_outputs import MIN_FREE_BYTES, Crops
 from yolov5_lifecycle.offline.image_files import ImageFile
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 
@@ -102,7 +102,7 @@ def test_any_name_of_a_class_and_an_image_makes_a_file_of_its_own(
 
 
 def test_there_are_at_most_so_many(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(image_outputs, "MAX_CROPS", 2)
+    monkeypatch.setattr(exporting, "MAX_CROPS", 2)
     folder = Crops(tmp_path / "crops", ["dog"])
     folder.write(detected((0, 0, 9, 9)))
     with pytest.raises(OutputError, match="more than 2 detections: raise confidence_threshold"):
