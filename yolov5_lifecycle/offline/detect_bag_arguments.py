@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.offline.detector_options import add_detector_options
 
 TRACK = "tracker=bytetrack"
@@ -30,23 +30,34 @@ recording fails, the others go on; the exit code is then 3.
 """
 
 
+def _job_count(text: str) -> int:
+    count = int(text) if text.isdecimal() and len(text) <= len(str(_MAX_JOBS)) else 0
+    if not 1 <= count <= _MAX_JOBS:
+        raise argparse.ArgumentTypeError(
+            f"expected a number of processes from 1 to {_MAX_JOBS}, found {text!r}"
+        )
+    return count
+
+
 _ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
     "sources": {
         "nargs": "+",
         "type": Path,
         "metavar": "SOURCE",
-        "help": "a ros2 bag recording, a video, an image or a folder of images; or many recordings and videos",
+        "help": "a ros2 bag recording, a video, an image or a folder of images; or many recordings "
+        "and videos",
     },
     "--output": {
         "type": Path,
         "metavar": "PATH",
-        "help": "new output in the format of its suffix, see below (default for images and videos: JSON lines "
-        "on stdout); for many recordings or videos, a folder",
+        "help": "new output in the format of its suffix, see below (default for images and videos: JSON "
+        "lines on stdout); for many recordings or videos, a folder",
     },
     "--jobs": {
-        "type": count_up_to(_MAX_JOBS, "processes"),
+        "type": _job_count,
         "metavar": "N",
-        "help": "processes for many recordings (default: one per core, but at most one per GiB of free memory)",
+        "help": "processes for many recordings (default: one per core, but at most one per GiB of free "
+        "memory)",
     },
     "--topic": {"help": "image topic of the recording (default: the only one)"},
     "--images": {"action": "store_true", "help": "also write annotated images to the new recording"},
