@@ -144,18 +144,21 @@ class Batch:
     results: dict[str, RecordingResult] = field(default_factory=dict)
     in_progress: dict[str, int] = field(default_factory=dict)
     """How many images of a recording are done."""
+    done_images: int = 0
+    """Images of the recordings that this run has finished."""
     begun_s: float = field(default_factory=time.monotonic)
     """When the first model was loaded."""
 
     def add(self, result: RecordingResult) -> None:
         self.in_progress.pop(result.recording, None)
         self.results[result.recording] = result
+        if result.state == "done":
+            self.done_images += result.images
 
     @property
     def images(self) -> int:
         """Images of this run, of unfinished recordings too."""
-        done = (result.images for result in self.results.values() if result.state == "done")
-        return sum(done) + sum(self.in_progress.values())
+        return self.done_images + sum(self.in_progress.values())
 
     @property
     def rate(self) -> str:
