@@ -45,6 +45,7 @@ def test_what_was_made_from_something_else_is_not_replaced(drives: Path, tmp_pat
     source, east = drives / "east", tmp_path / "east"
     assert result_of(source, plan_for(tmp_path)).state == "done"
     before = {path: path.read_bytes() for path in east.iterdir()}
+    assert result_of(source, plan_for(tmp_path)).state == "skipped"
     result = result_of(source, plan_for(tmp_path, classes=["star"]))
     assert result.state == "failed"
     assert result.reason.startswith(f"{east} exists and is not replaced, as it was made from other weights,")

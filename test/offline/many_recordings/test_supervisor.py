@@ -14,6 +14,7 @@ from support.many_recordings import plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError, hold, open_itself
 from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
+from yolov5_lifecycle.offline.many_recordings import supervisor
 from yolov5_lifecycle.offline.many_recordings.results import Batch, Plan, RecordingResult
 from yolov5_lifecycle.offline.many_recordings.supervisor import (
     MAX_DEATHS,
@@ -199,6 +200,29 @@ def test_an_interrupt_ends_all_workers(tmp_path: Path) -> None:
         scripted.run()
     assert len(scripted.begun) <= 3
     assert scripted.all_have_ended
+
+
+def test_a_recording_that_lacks_images_is_told(tmp_path: Path) -> None:
+    def incomplete(source: SourceRecording) -> Answer:
+        counts = {"images": 2, "missing": 3 * (source.name == "b")}
+        return RecordingResult(recording=source.name, path=str(source.path), state="done", **counts)
+
+    scripted = ScriptedRun(tmp_path, on_detect=incomplete)
+    assert not scripted.run().is_complete
+    (told,) = scripted.notes.told
+    assert told.startswith("b: the recording claims 5 images, but has 2")
+
+
+def test_a_result_that_was_finished_before_its_worker_died_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def finished(source: SourceRecording, plan: Plan) -> RecordingResult | None:
+        row = RecordingResult(recording=source.name, path=str(source.path), state="skipped")
+        return row if scripted.begun.count(source.name) == MAX_DEATHS else None
+
+    scripted = ScriptedRun(tmp_path, on_detect=lambda _: None)
+    monkeypatch.setattr(supervisor, "finished_before", finished)
+    assert scripted.run().states == {"done": 0, "skipped": 4, "failed": 0}
 
 
 def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
