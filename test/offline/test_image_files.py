@@ -54,7 +54,7 @@ def test_a_folder_that_is_called_like_a_video_is_a_folder(
 
 
 def written(path: Path, *sizes_hw: tuple[int, int]) -> Path:
-    """A frame of noise of each size, as `detect_bag` writes them, which also tries whether all is there."""
+    """A frame of noise of each size, as `detect_bag` writes them; raises OutputError if it is not whole."""
     generator = np.random.default_rng(0)
     undrawn: Any = SimpleNamespace(drawn=lambda image, _: image)
     with annotated_video(path, 12.5, undrawn) as write:

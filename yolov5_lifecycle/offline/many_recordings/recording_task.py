@@ -33,8 +33,6 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
-_DETECTIONS = "detections"
-"""Name of the file or folder in a result that is not a recording, without its suffix."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 OnImage = Callable[[int], object]
@@ -115,7 +113,7 @@ class RecordingTask:
         suffix = export.suffix or (JSON_LINES if is_video(source) else "")
         if suffix:
             unfinished.mkdir()
-        path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
+        path = unfinished / f"detections{suffix}" if suffix else unfinished
         crops = unfinished / export.crops if export.crops else None
         export = replace(export, path=path, suffix=suffix, crops=crops)
         if is_video(source):
