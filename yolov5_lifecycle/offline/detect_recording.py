@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,7 @@ from yolov5_lifecycle.printable import in_one_line, is_utf8
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABELS = "vision_msgs/msg/LabelInfo"
 _IMAGE = "sensor_msgs/msg/Image"
+_POSE = "geometry_msgs/msg/PoseWithCovariance"
 
 
 def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
@@ -134,8 +135,14 @@ def _new(type_name: str, **fields: Any) -> Any:
 
 def _default(kind: Nodetype, of: Any) -> Any:
     if kind is Nodetype.NAME:
-        return _new(of)
+        return _no_pose() if of == _POSE else _new(of)
     return np.zeros(of[1]) if kind is Nodetype.ARRAY else 0.0
+
+
+@cache
+def _no_pose() -> Any:
+    """One for all detections, as it takes half of their time; nobody changes it."""
+    return _new(_POSE)
 
 
 class _VisionTypes:
