@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from multiprocessing.connection import Pipe
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from support.many_recordings import plan_for
@@ -28,7 +29,7 @@ from yolov5_lifecycle.process.environment import compute_threads
 
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
 
-Answer = Plan | RecordingResult | DetectingError | None
+Answer = Plan | RecordingResult | DetectingError | Literal["nothing yet"] | None
 """What a process sends; None: it dies."""
 
 
@@ -70,15 +71,14 @@ class ScriptedWorker(Worker):
     def send(self, task: Plan | SourceRecording) -> None:
         self.tasks.append(task)
         if isinstance(task, Plan):
-            answers = [self._run.on_load(task)]
+            answer = self._run.on_load(task)
         else:
             self._process_end.send(1)
-            answers = [self._run.on_detect(task)]
-        for answer in answers:
-            if answer is None:
-                self._process_end.close()
-            else:
-                self._process_end.send(answer)
+            answer = self._run.on_detect(task)
+        if answer is None:
+            self._process_end.close()
+        elif answer != "nothing yet":
+            self._process_end.send(answer)
 
     def stop(self) -> None:
         self.is_stopped = True
@@ -187,6 +187,16 @@ def test_another_worker_that_cannot_load_the_model_ends_the_run(tmp_path: Path) 
     )
     with pytest.raises(DetectingError, match=r"another worker could not start: .*give a smaller --jobs"):
         scripted.run()
+    assert scripted.all_have_ended
+
+
+def test_the_run_ends_with_the_last_result_even_if_another_worker_still_loads_the_model(
+    tmp_path: Path,
+) -> None:
+    scripted = ScriptedRun(
+        tmp_path, on_load=lambda plan: loaded(plan) if plan.settings.runtime == "auto" else "nothing yet"
+    )
+    assert scripted.run().states["done"] == len(SOURCES)
     assert scripted.all_have_ended
 
 

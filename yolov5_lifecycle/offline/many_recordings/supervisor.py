@@ -175,7 +175,7 @@ class _Run:
     batch: Batch
     terminal: Terminal
     workers: list[Worker] = field(default_factory=list)
-    """Those that are busy."""
+    """Those that load the model or detect."""
     is_chosen: bool = False
     """Whether the first worker has loaded the model."""
     deaths: Counter[str] = field(default_factory=Counter)
@@ -184,8 +184,10 @@ class _Run:
     def run(self) -> None:
         """Add the results of all recordings to the batch."""
         try:
-            self._add_worker()
-            while self.workers:
+            for _ in range(self.count):  # while the first loads the model, the others start
+                self.workers.append(self.new_worker(self.count))
+            self.workers[0].send(self.plan)
+            while len(self.batch.results) < self.batch.count:  # without waiting for a model not needed
                 ready = wait([worker.connection for worker in self.workers], _PROGRESS_S)
                 for worker in [worker for worker in self.workers if worker.connection in ready]:
                     self._hear(worker)
@@ -195,10 +197,6 @@ class _Run:
                 worker.stop()
             for worker in self.workers:
                 worker.close()
-
-    def _add_worker(self) -> None:
-        self.workers.append(self.new_worker(self.count))
-        self.workers[-1].send(self.plan)
 
     def _hear(self, worker: Worker) -> None:
         """Take what `worker` says, and give it another recording unless it is busy with one."""
@@ -227,8 +225,8 @@ class _Run:
         """Let the other workers load the same model as the first."""
         self.plan, self.is_chosen = plan, True
         self.batch.begun_s = time.monotonic()
-        while len(self.workers) < self.count:
-            self._add_worker()
+        for worker in self.workers[1:]:
+            worker.send(plan)
 
     def _give(self, worker: Worker) -> None:
         """Let `worker` begin the next recording, or end."""
@@ -253,7 +251,8 @@ class _Run:
             reason = f"{error} {MAX_DEATHS} times while reading this recording"
             self._end(finished_before(source, self.plan) or failed(source, reason))
         if self.waiting:
-            self._add_worker()
+            self.workers.append(self.new_worker(self.count))
+            self.workers[-1].send(self.plan)
 
     def _end(self, result: RecordingResult) -> None:
         self.batch.add(result)
