@@ -89,20 +89,17 @@ def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFix
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["file", "FIFO", "link to a file", "link to /dev/full", "broken link"])
+@pytest.mark.parametrize("kind", ["file", "link to a file", "broken link"])
 def test_whatever_is_there_is_kept_unless_forced_and_then_replaced(
     source: Path, tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A link is replaced itself; what it leads to is not written."""
     target, precious = tmp_path / "out.safetensors", tmp_path / "precious"
     precious.write_bytes(b"precious")
-    if kind == "FIFO":
-        os.mkfifo(target)
-    elif kind == "file":
+    if kind == "file":
         target.write_bytes(b"old")
     else:
-        links = {"link to a file": precious, "link to /dev/full": Path("/dev/full")}
-        target.symlink_to(links.get(kind, tmp_path / "nowhere"))
+        target.symlink_to(precious if kind == "link to a file" else tmp_path / "nowhere")
     assert main([str(source), str(target)]) == 1
     assert "exists; give --force to replace it" in capsys.readouterr().err
     assert main([str(source), str(target), "--force"]) == 0

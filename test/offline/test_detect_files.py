@@ -89,16 +89,6 @@ def test_a_video_becomes_lines_in_a_file_and_an_annotated_video(tmp_path: Path) 
     capture.release()
 
 
-def test_a_tracked_video_has_ids(tmp_path: Path) -> None:
-    source, output = video(tmp_path / "drive.avi"), tmp_path / "found.jsonl"
-    assert run([str(source), "--output", str(output), "-p", "tracker:=bytetrack", *SET_MODEL]) == 0
-    lines = [json.loads(line)["detections"] for line in output.read_text().splitlines()]
-    assert {one["id"] for one in lines[0]} == {""}
-    last = [one["id"] for one in lines[-1]]
-    assert "" not in last
-    assert len({*last}) == len(last) > 0
-
-
 def test_a_parameter_file_with_a_tracker_serves_image_files_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

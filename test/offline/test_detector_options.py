@@ -79,11 +79,8 @@ def test_every_value_that_is_refused_is_named_at_once(parameters: Path) -> None:
         wanted_settings(None, given, "/yolov5")
     told = [problem.setting for problem in refused.value.problems]
     assert sorted(told) == sorted(assignment.partition("=")[0] for assignment in given)
-
-
-def test_a_value_without_effect_is_named_beside_a_camera_that_is_missing(parameters: Path) -> None:
     with pytest.raises(SettingsError) as refused:
-        wanted_settings(parameters, ["lazy=true"], "/yolov5")
+        wanted_settings(parameters, ["lazy=true"], "/yolov5")  # and no camera
     assert [problem.setting for problem in refused.value.problems] == ["lazy", "front.classes"]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NoReturn
 
@@ -20,18 +19,6 @@ def version_line(command: str) -> str:
         return f"{command} {version('yolov5_lifecycle')} (yolov5_lifecycle)"
     except PackageNotFoundError:
         return f"{command}, unknown version: yolov5_lifecycle is not installed"
-
-
-def count_up_to(most: int, what: str) -> Callable[[str], int]:
-    """The type of an argument that is a number of `what` from 1 to `most`."""
-
-    def count(text: str) -> int:
-        is_short = text.isascii() and text.isdecimal() and len(text) <= len(str(most))
-        if not is_short or not 1 <= int(text) <= most:
-            raise argparse.ArgumentTypeError(f"expected a number of {what} from 1 to {most}, found {text!r}")
-        return int(text)
-
-    return count
 
 
 class CommandParser(argparse.ArgumentParser):

@@ -16,7 +16,6 @@ from yolov5_lifecycle.process.standard_streams import complain, write_output
 
 if TYPE_CHECKING:  # torch is imported by the functions that need it: --help works without, and at once
     from yolov5_lifecycle.checkpoints.locate import WeightsFile
-    from yolov5_lifecycle.models.model import Model
 
 _MAX_PATH = 4096
 
@@ -61,22 +60,16 @@ def convert(source: Path, target: Path, *, overwrite: bool) -> WeightsFile:
 
 def report(written: WeightsFile) -> str:
     """Summary of the file for the user, one fact per line."""
+    from yolov5_lifecycle.models.model import blueprint
+
     names = written.model.class_names
+    parameters = sum(parameter.numel() for parameter in blueprint(written.model.architecture).parameters())
     return (
         f"{in_one_line(str(written.path), _MAX_PATH)}\n"
         f"classes     {len(names)}: {', '.join(names)}\n"
-        f"parameters  {_parameters(written.model):,}\n"
+        f"parameters  {parameters:,}\n"
         f"sha256      {written.sha256}\n"
     )
-
-
-def _parameters(model: Model) -> int:
-    import torch
-
-    from yolov5_lifecycle.models.network import Network
-
-    with torch.device("meta"):
-        return sum(parameter.numel() for parameter in Network(model.architecture).parameters())
 
 
 def _describe(path: Path) -> int:

@@ -22,7 +22,6 @@ from yolov5_lifecycle.offline.export.formats import (
 from yolov5_lifecycle.offline.image_files import has_still_images
 from yolov5_lifecycle.offline.many_recordings.results import plan_of
 from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_count
 from yolov5_lifecycle.offline.recordings import are_many, is_recording, is_video, recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal, exit_code, missing_images, report
 from yolov5_lifecycle.process.standard_streams import complain, show_report
@@ -93,13 +92,8 @@ def _run_many(parser: argparse.ArgumentParser, arguments: argparse.Namespace) ->
     else:
         import yolov5_lifecycle.offline.detect_recording  # noqa: F401 - to say at once that rosbags is missing
     plan = plan_of(settings, output, _export(arguments, None, format_suffix(output)))
-
-    def new_workers(recordings: int) -> Sequence[Worker]:
-        count = suitable_count(recordings, arguments.jobs)
-        return [Worker(count) for _ in range(count)]
-
     with closing(Terminal(_COMMAND, shows_progress=True)) as terminal:
-        batch = detect_recordings(sources, plan, new_workers=new_workers, terminal=terminal)
+        batch = detect_recordings(sources, plan, jobs=arguments.jobs, terminal=terminal)
     show_report(str(batch))
     return 0 if batch.is_complete else EXIT_INCOMPLETE
 

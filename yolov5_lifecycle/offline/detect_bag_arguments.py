@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from yolov5_lifecycle.commands.command_line import CommandParser, count_up_to
+from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.offline.detector_options import add_detector_options
 
 TRACK = "tracker=bytetrack"
@@ -28,6 +30,55 @@ recording fails, the others go on; the exit code is then 3.
 """
 
 
+def _job_count(text: str) -> int:
+    count = int(text) if text.isdecimal() and len(text) <= len(str(_MAX_JOBS)) else 0
+    if not 1 <= count <= _MAX_JOBS:
+        raise argparse.ArgumentTypeError(
+            f"expected a number of processes from 1 to {_MAX_JOBS}, found {text!r}"
+        )
+    return count
+
+
+_ARGUMENTS: Mapping[str, Mapping[str, Any]] = {
+    "sources": {
+        "nargs": "+",
+        "type": Path,
+        "metavar": "SOURCE",
+        "help": "a ros2 bag recording, a video, an image or a folder of images; or many recordings "
+        "and videos",
+    },
+    "--output": {
+        "type": Path,
+        "metavar": "PATH",
+        "help": "new output in the format of its suffix, see below (default for images and videos: JSON "
+        "lines on stdout); for many recordings or videos, a folder",
+    },
+    "--jobs": {
+        "type": _job_count,
+        "metavar": "N",
+        "help": "processes for many recordings (default: one per core, but at most one per GiB of free "
+        "memory)",
+    },
+    "--topic": {"help": "image topic of the recording (default: the only one)"},
+    "--images": {"action": "store_true", "help": "also write annotated images to the new recording"},
+    "--annotated": {
+        "type": Path,
+        "metavar": "PATH",
+        "help": "new annotated video, image or folder of images",
+    },
+    "--crops": {
+        "action": "store_true",
+        "help": "also write each detection as a JPEG file, to a new folder beside the output: PATH without "
+        "suffix, with _crops; with many recordings or videos, into each result",
+    },
+    "--no-masks": {
+        "action": "store_false",
+        "dest": "masks",
+        "help": "do not write the masks of a segmentation model; annotated images still show them",
+    },
+}
+
+
 def command_parser() -> argparse.ArgumentParser:
     """The argument parser of the command."""
     parser = CommandParser(
@@ -36,45 +87,8 @@ def command_parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "sources",
-        nargs="+",
-        type=Path,
-        metavar="SOURCE",
-        help="a ros2 bag recording, a video, an image or a folder of images; or many recordings and videos",
-    )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="PATH",
-        help="new output in the format of its suffix, see below (default for images and videos: JSON lines "
-        "on stdout); for many recordings or videos, a folder",
-    )
-    parser.add_argument(
-        "--jobs",
-        type=count_up_to(_MAX_JOBS, "processes"),
-        metavar="N",
-        help="processes for many recordings (default: one per core, but at most one per GiB of free memory)",
-    )
-    parser.add_argument("--topic", help="image topic of the recording (default: the only one)")
-    parser.add_argument(
-        "--images", action="store_true", help="also write annotated images to the new recording"
-    )
-    parser.add_argument(
-        "--annotated", type=Path, metavar="PATH", help="new annotated video, image or folder of images"
-    )
-    parser.add_argument(
-        "--crops",
-        action="store_true",
-        help="also write each detection as a JPEG file, to a new folder beside the output: PATH without "
-        "suffix, with _crops; with many recordings or videos, into each result",
-    )
-    parser.add_argument(
-        "--no-masks",
-        action="store_false",
-        dest="masks",
-        help="do not write the masks of a segmentation model; annotated images still show them",
-    )
+    for name, options in _ARGUMENTS.items():
+        parser.add_argument(name, **options)
     add_detector_options(parser)
     parser.add_argument(
         "--track",

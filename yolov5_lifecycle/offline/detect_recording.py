@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import (
+    Nodetype,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from yolov5_lifecycle.atomic_file import OutputError
-from yolov5_lifecycle.detection.detections import FoundObject
+from yolov5_lifecycle.detection.messages import detection_array, image_fields, label_info
 from yolov5_lifecycle.offline.detecting import LoadDetector, OfflineDetector, RunStatistics
-from yolov5_lifecycle.offline.export.detected_image import DetectedImage, Sink
 from yolov5_lifecycle.offline.export.exporting import Export, export_images
+from yolov5_lifecycle.offline.export.formats import DetectedImage, Write
 from yolov5_lifecycle.offline.recording import TYPES, RecordedMessage, RecordingError, open_recording
 from yolov5_lifecycle.offline.stored_messages import StoredTopic
 from yolov5_lifecycle.offline.terminal import missing_images
 from yolov5_lifecycle.printable import in_one_line, is_utf8
-from yolov5_lifecycle.process.standard_streams import complain
 
 _DETECTIONS = "vision_msgs/msg/Detection2DArray"
 _LABELS = "vision_msgs/msg/LabelInfo"
 _IMAGE = "sensor_msgs/msg/Image"
+_POSE = "geometry_msgs/msg/PoseWithCovariance"
 
 
 def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStatistics:
@@ -37,14 +45,12 @@ def write_recording(source: Path, export: Export, load: LoadDetector) -> RunStat
     OSError, DetectingError and what `load` raises.
     """
     with open_recording(source) as recording:
-        if recording.foreign:
-            complain("detect_bag", f"{source}: left out, not of ROS 2: {recording.foreign}")
         topic = recording.image_topic(export.topic)
         images = _not_empty(source, topic, recording.messages(topic))
         if not export.suffix and export.path is not None and not is_utf8(export.path.name):
             name = in_one_line(export.path.name)
             raise OutputError(f"{name}: the name of a recording must be UTF-8: choose another --output.")
-        new_bag = None if export.suffix else partial(_DetectionBag, export)
+        new_bag = None if export.suffix else partial(_detection_bag, export)
         statistics = export_images(images, topic.count, export, load, new_bag)
     statistics.missing = max(0, topic.count - statistics.outcomes.total())
     return statistics
@@ -65,31 +71,38 @@ def _not_empty(
     return chain([first], images)
 
 
-class _DetectionBag(Sink):
-    """The new recording of `export`, with the topics and QoS of the node; masks are label images."""
+@contextmanager
+def _detection_bag(export: Export, detector: OfflineDetector) -> Iterator[Write]:
+    """The new recording of `export`."""
+    assert export.path is not None
+    with Writer(export.path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        yield _DetectionBag(writer, export, detector).write
 
-    def __init__(self, export: Export, detector: OfflineDetector) -> None:
-        assert export.path is not None
+
+class _DetectionBag:
+    """The topics of the node in a new recording, with its QoS; masks are label images."""
+
+    def __init__(self, writer: Writer, export: Export, detector: OfflineDetector) -> None:
+        self._writer = writer
         self._detector = detector
-        self._is_labelled = self._is_finished = False
-        self._writer = Writer(export.path, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._writer.open()
+        self._is_labelled = False
         node, has_masks = export.node, export.masks and detector.segments
         self._labels = self._topic(f"{node}/label_info", _LABELS, depth=1, durability=_LATCHED)
         self._detections = self._topic(f"{node}/detections", _DETECTIONS, depth=10)
         self._images = self._topic(f"{node}/image", _IMAGE, depth=1) if export.images else None
         self._masks = self._topic(f"{node}/masks", _IMAGE, depth=1) if has_masks else None
 
-    def add(self, found: DetectedImage) -> None:
+    def write(self, found: DetectedImage) -> None:
         """Write the node's messages for a recorded image, with its header and time of recording."""
-        recorded: Any = found.named
+        recorded: Any = found.stored
         timestamp_ns, header = recorded.timestamp_ns, recorded.message.header
         class_names = self._detector.class_names
         if not self._is_labelled:
             threshold = self._detector.settings.confidence_threshold
-            self._add(self._labels, timestamp_ns, _label_info(class_names, threshold, header.stamp))
+            of_labels = _new("std_msgs/msg/Header", stamp=header.stamp, frame_id="")
+            self._add(self._labels, timestamp_ns, label_info(class_names, threshold, of_labels, _TYPES))
             self._is_labelled = True
-        array = detection_array(found.detections.objects(class_names), header)
+        array = detection_array(found.detections.objects(class_names), header, _TYPES)
         self._add(self._detections, timestamp_ns, array)
         labels = found.detections.label_image()
         if self._masks is not None and labels is not None:
@@ -97,15 +110,6 @@ class _DetectionBag(Sink):
         if self._images is not None:
             drawn = self._detector.drawn(found.image, found.detections, labels)
             self._add(self._images, timestamp_ns, _image(drawn.pixels, f"{drawn.order}8", header))
-
-    def finish(self) -> None:
-        self._writer.close()
-        self._is_finished = True
-
-    def close(self) -> None:
-        if not self._is_finished:
-            with suppress(Exception):
-                self._writer.abort()
 
     def _topic(
         self, name: str, type_name: str, *, depth: int, durability: QosDurability = QosDurability.VOLATILE
@@ -119,64 +123,41 @@ class _DetectionBag(Sink):
         self._writer.write(connection, timestamp_ns, data)
 
 
-def detection_array(found: Sequence[FoundObject], header: Any) -> Any:
-    """A vision_msgs/Detection2DArray as a rosbags object, with the header of the image."""
-    return _new(_DETECTIONS, header=header, detections=[_detection(one, header) for one in found])
+def _new(type_name: str, **fields: Any) -> Any:
+    """A message with these fields; the others, which are numbers, have ROS's default values."""
+    if type_name == "geometry_msgs/msg/Quaternion":
+        fields = {"w": 1.0, **fields}
+    for name, (kind, of) in TYPES.fielddefs[type_name][1]:
+        if name not in fields:
+            fields[name] = _default(kind, of)
+    return TYPES.types[type_name](**fields)
 
 
-def _detection(found: FoundObject, header: Any) -> Any:
-    position = _new("vision_msgs/msg/Point2D", x=found.centre_xy[0], y=found.centre_xy[1])
-    centre = _new("vision_msgs/msg/Pose2D", position=position, theta=0.0)
-    hypothesis = _new("vision_msgs/msg/ObjectHypothesis", class_id=found.class_name, score=found.score)
-    return _new(
-        "vision_msgs/msg/Detection2D",
-        header=header,
-        results=[_new("vision_msgs/msg/ObjectHypothesisWithPose", hypothesis=hypothesis, pose=_no_pose())],
-        bbox=_new(
-            "vision_msgs/msg/BoundingBox2D", center=centre, size_x=found.size_xy[0], size_y=found.size_xy[1]
-        ),
-        id=found.track_id,
-    )
+def _default(kind: Nodetype, of: Any) -> Any:
+    if kind is Nodetype.NAME:
+        return _no_pose() if of == _POSE else _new(of)
+    return np.zeros(of[1]) if kind is Nodetype.ARRAY else 0.0
 
 
+@cache
 def _no_pose() -> Any:
-    """A pose with ROS's default values."""
-    pose = _new(
-        "geometry_msgs/msg/Pose",
-        position=_new("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0),
-        orientation=_new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
-    )
-    return _new("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+    """One for all detections, as it takes half of their time; nobody changes it."""
+    return _new(_POSE)
 
 
-def _label_info(class_names: Sequence[str], threshold: float, stamp: Any) -> Any:
-    return _new(
-        _LABELS,
-        header=_new("std_msgs/msg/Header", stamp=stamp, frame_id=""),
-        class_map=[
-            _new("vision_msgs/msg/VisionClass", class_id=index, class_name=name)
-            for index, name in enumerate(class_names)
-        ],
-        threshold=threshold,
-    )
+class _VisionTypes:
+    """The classes of vision_msgs by name, as in ROS."""
+
+    def __getattr__(self, name: str) -> Any:
+        return partial(_new, f"vision_msgs/msg/{name}")
+
+
+_TYPES = _VisionTypes()
 
 
 def _image(pixels: NDArray[np.uint8 | np.uint16], encoding: str, header: Any) -> Any:
-    height, width = pixels.shape[:2]
-    return _new(
-        _IMAGE,
-        header=header,
-        height=height,
-        width=width,
-        encoding=encoding,
-        is_bigendian=0,
-        step=pixels.nbytes // height,
-        data=np.ascontiguousarray(pixels).reshape(-1).view(np.uint8),
-    )
-
-
-def _new(type_name: str, **fields: Any) -> Any:
-    return TYPES.types[type_name](**fields)
+    data = np.ascontiguousarray(pixels).reshape(-1).view(np.uint8)
+    return _new(_IMAGE, header=header, data=data, **image_fields(pixels, encoding))
 
 
 _LATCHED = QosDurability.TRANSIENT_LOCAL

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar
 
@@ -35,6 +35,14 @@ class StoredImage(Protocol):
     @property
     def stamp_s(self) -> float | None:
         """When it was taken, in seconds since any epoch; None if unknown. Raises ImageError."""
+
+    @property
+    def identity(self) -> Mapping[str, str | int]:
+        """What tells it from the others: `file`, `frame`, or `stamp_ns` and `frame`. Raises ImageError."""
+
+    @property
+    def stem(self) -> str:
+        """Name of files about it, without a suffix; raises ImageError."""
 
     def load(self) -> ColourImage:
         """Load the pixels; raises ImageError."""

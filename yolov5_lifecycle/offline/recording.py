@@ -145,19 +145,20 @@ class RecordedMessage:
         return decode(self.message)
 
 
+@dataclass(frozen=True)
 class Recording:
     """An open recording; see `open_recording`."""
 
-    def __init__(self, path: Path, storages: Sequence[_Storage]) -> None:
-        self.path = path
-        self._storages = storages
+    path: Path
+    storages: Sequence[_Storage]
 
     def image_topic(self, name: str | None = None) -> StoredTopic:
         """The image topic `name`, or the only one; raises RecordingError with the available topics."""
         if not (topics := self.topics(_RAW, _COMPRESSED)):
-            others = in_one_line(", ".join(sorted({topic.name for topic in self._stored()})) or "nothing")
+            stored = {f"{topic.name} ({topic.type_name}, {topic.encoding})" for topic in self._stored()}
+            others = in_one_line(", ".join(sorted(stored)) or "nothing")
             raise RecordingError(
-                f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}) in it, only: {others}. "
+                f"{self.path}: there are no images ({_RAW} or {_COMPRESSED}, {CDR}) in it, only: {others}. "
                 "Record the image topic of the camera."
             )
         wanted = [topic for topic in topics if name in (None, topic.name)]
@@ -174,7 +175,7 @@ class Recording:
     def messages(self, topic: StoredTopic) -> Iterator[RecordedMessage]:
         """Every message of `topic` in recording order; raises RecordingError if the file is damaged."""
         numbers = itertools.count()
-        for storage in self._storages:
+        for storage in self.storages:
             messages = storage.messages(topic.name, topic.type_name)
             while True:
                 with _readable(self.path):
@@ -194,14 +195,8 @@ class Recording:
             StoredTopic(name, type_name, CDR, count) for (name, type_name), count in sorted(counts.items())
         ]
 
-    @property
-    def foreign(self) -> str:
-        """Topics whose messages are not those of ROS 2, with their encodings."""
-        foreign = {f"{topic.name} ({topic.encoding})" for topic in self._stored() if topic.encoding != CDR}
-        return in_one_line(", ".join(sorted(foreign)))
-
     def _stored(self) -> Iterator[StoredTopic]:
-        return (topic for storage in self._storages for topic in storage.topics)
+        return (topic for storage in self.storages for topic in storage.topics)
 
 
 @contextmanager

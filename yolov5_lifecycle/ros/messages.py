@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import vision_msgs.msg
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 from vision_msgs.msg import (
-    BoundingBox2D,
     BoundingBox3D,
     Detection2D,
     Detection2DArray,
     Detection3D,
     Detection3DArray,
-    ObjectHypothesis,
     ObjectHypothesisWithPose,
 )
 
-from yolov5_lifecycle.detection.detections import Detections, FoundObject
+from yolov5_lifecycle.detection import messages
+from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.images.compressed import compressed_image, is_jpeg
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, bytes_of
@@ -49,10 +49,7 @@ def jpeg_of_message(message: Image | CompressedImage, image: ColourImage) -> NDA
 
 def image_message(pixels: NDArray[Any], encoding: str, header: Header) -> Image:
     """Image message of pixels (H, W) or (H, W, channels) in `encoding`: 16UC1 for depths and masks."""
-    height, width = pixels.shape[:2]
-    channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    step = width * channels * pixels.itemsize
-    message = Image(header=header, height=height, width=width, encoding=encoding, is_bigendian=0, step=step)
+    message = Image(header=header, **messages.image_fields(pixels, encoding))
     message.data = _array_of(pixels.astype(pixels.dtype.newbyteorder("<"), copy=False))
     return message
 
@@ -75,16 +72,7 @@ def _array_of(values: NDArray[Any]) -> array[int]:
 
 def detection_array(detections: Detections, class_names: Sequence[str], header: Header) -> Detection2DArray:
     """Detection2DArray message in source pixels, with the header of the source image."""
-    found = detections.objects(class_names)
-    return Detection2DArray(header=header, detections=[_detection(one, header) for one in found])
-
-
-def _detection(found: FoundObject, header: Header) -> Detection2D:
-    bbox = BoundingBox2D(size_x=found.size_xy[0], size_y=found.size_xy[1])
-    bbox.center.position.x, bbox.center.position.y = found.centre_xy
-    hypothesis = ObjectHypothesis(class_id=found.class_name, score=found.score)
-    results = [ObjectHypothesisWithPose(hypothesis=hypothesis)]
-    return Detection2D(header=header, results=results, bbox=bbox, id=found.track_id)
+    return messages.detection_array(detections.objects(class_names), header, vision_msgs.msg)
 
 
 def detection_3d_array_message(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pycocotools import mask as coco
 
 from yolov5_lifecycle.detection.masks import Window
-from yolov5_lifecycle.offline.export.detected_image import coco_rle
+from yolov5_lifecycle.offline.export.formats import coco_rle
 
 EVERY_MASK = arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=40))
 

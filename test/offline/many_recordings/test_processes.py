@@ -26,11 +26,9 @@ from support.started import started
 from yolov5_lifecycle.atomic_file import FOLDER_PREFIX
 from yolov5_lifecycle.offline.detect_bag import EXIT_INCOMPLETE, main
 from yolov5_lifecycle.offline.detecting import DetectingError
-from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
-from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, RecordingResult
-from yolov5_lifecycle.offline.many_recordings.supervisor import detect_recordings
-from yolov5_lifecycle.offline.many_recordings.workers import Worker
-from yolov5_lifecycle.offline.recordings import SourceRecording, recordings_of
+from yolov5_lifecycle.offline.many_recordings.results import RECORD_NAME, Plan, RecordingResult
+from yolov5_lifecycle.offline.many_recordings.supervisor import Worker, detect_recordings
+from yolov5_lifecycle.offline.recordings import recordings_of
 from yolov5_lifecycle.offline.terminal import Terminal
 from yolov5_lifecycle.ros.child_process import entry_point
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
@@ -102,14 +100,20 @@ def test_a_second_run_does_only_what_is_missing(
 @pytest.mark.long
 def test_a_worker_says_why_it_cannot_load_the_model(tmp_path: Path) -> None:
     worker = Worker(1)
-    try:
-        with pytest.raises(DetectingError, match=r"Did you mean 'circle'\?"):
-            worker.load(plan_for(tmp_path, classes=["circel"]))
-    finally:
-        worker.stop()
-        worker.close()
-    with pytest.raises(ChildProcessError, match="the worker was stopped"):
-        worker.start()
+    worker.send(plan_for(tmp_path, classes=["circel"]))
+    with pytest.raises(DetectingError, match=r"Did you mean 'circle'\?"):
+        worker.answer()
+    assert worker.close() == 1
+
+
+@pytest.mark.long
+def test_a_worker_that_died_before_it_got_the_model_is_told(tmp_path: Path) -> None:
+    worker = Worker(1)
+    worker.stop()
+    worker._process.wait()
+    worker.send(plan_for(tmp_path))
+    with pytest.raises(DetectingError, match=r"died \(signal 15\) while loading the model"):
+        worker.answer()
 
 
 def has_unfinished_outputs(folder: Path) -> bool:
@@ -118,20 +122,16 @@ def has_unfinished_outputs(folder: Path) -> bool:
 
 
 class HuntedWorker(Worker):
-    """One of two; it is killed when it has read the first image of the first recording."""
+    """The first of all is killed when it has read the first image of a recording."""
 
-    def __init__(self) -> None:
-        super().__init__(2)
-        self.killed = ""
+    killed = ""
 
-    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult:
-        def hunt(images: int) -> None:
-            on_image(images)
-            if not self.killed:
-                self.killed = source.name
-                self.process.kill()
-
-        return super().detect(source, hunt)
+    def answer(self) -> Plan | int | RecordingResult:
+        answer = super().answer()
+        if self.source is not None and not HuntedWorker.killed:
+            HuntedWorker.killed = self.source.name
+            self._process.kill()
+        return answer
 
 
 @pytest.mark.long
@@ -140,12 +140,14 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_written_twice(
 ) -> None:
     lengths = {"a": LONG, "b": LONG}
     drives = record_drives(tmp_path / "drives", lengths)
-    output, hunted = tmp_path / "found", HuntedWorker()
-    sources, plan = recordings_of([drives], output), plan_for(output)
-    workers, terminal = [hunted, Worker(2)], Terminal("detect_bag", shows_progress=True)
-    batch = detect_recordings(sources, plan, new_workers=lambda _: workers, terminal=terminal)
+    output, terminal = tmp_path / "found", Terminal("detect_bag", shows_progress=True)
+    batch = detect_recordings(
+        recordings_of([drives], output), plan_for(output), jobs=2, terminal=terminal, new_worker=HuntedWorker
+    )
     told = capsys.readouterr().err
-    assert f"detect_bag: {hunted.killed}: the worker died (signal 9); another worker retries it\n" in told
+    assert (
+        f"detect_bag: {HuntedWorker.killed}: the worker died (signal 9); another worker retries it\n" in told
+    )
     assert {name: row.images for name, row in batch.results.items() if row.state == "done"} == lengths
     for name in lengths:
         assert run([str(drives / name), "--output", str(tmp_path / name), *SET_MODEL]) == 0

@@ -12,23 +12,26 @@ from typing import Any
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_once
-from support.many_recordings import plan_for, record_drives, result_of, states
+from support.many_recordings import plan_for, record_drives, result_of, rows
+from support.onnx_exports import small_export
 from support.recorded_scene import raw, record, video
 
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.export.formats import FORMATS
 from yolov5_lifecycle.offline.many_recordings.recording_task import RecordingTask
 from yolov5_lifecycle.offline.many_recordings.results import (
     RECORD_NAME,
-    Record,
     RecordingResult,
     finished_before,
-    recording_digest,
+    origin,
+    plan_of,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.quantization.calibration_file import path_beside
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
+from yolov5_lifecycle.settings.settings import validated
 
 
 @pytest.fixture(scope="module")
@@ -46,15 +49,8 @@ def test_what_was_made_from_something_else_is_not_replaced(drives: Path, tmp_pat
     result = result_of(source, plan_for(tmp_path, classes=["star"]))
     assert result.state == "failed"
     assert result.reason.startswith(f"{east} exists and is not replaced, as it was made from other weights,")
+    assert "remove it, or choose another --output" in result.reason
     assert {path: path.read_bytes() for path in east.iterdir()} == before
-
-
-def test_a_folder_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path) -> None:
-    (tmp_path / "east").mkdir()
-    (tmp_path / "east" / "notes.txt").write_text("mine")
-    result = result_of(drives / "east", plan_for(tmp_path))
-    assert (result.state, "remove it, or choose another --output" in result.reason) == ("failed", True)
-    assert (tmp_path / "east" / "notes.txt").read_text() == "mine"
 
 
 def test_a_summary_of_somebody_else_is_not_replaced(
@@ -130,23 +126,24 @@ def test_a_lost_gpu_or_a_full_disk_is_no_fault_of_a_recording(drives: Path, tmp_
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
     name: str, suffix: str, file: str, drives: Path, tmp_path: Path
 ) -> None:
-    plan = plan_for(tmp_path / "found", suffix=suffix, crops=True)
-    source = SourceRecording(Path(name).stem, drives / name)
-    assert result_of(source.path, plan).state == "done"
-    folder = plan.output / source.name
-    files = {one.name for one in folder.iterdir()} - {"metadata.yaml"}
-    assert files == {file, "crops", RECORD_NAME}
-    again = finished_before(source, plan)
-    assert again is not None
-    assert again.state == "skipped"
-    assert len(list((folder / "crops").rglob("*.jpg"))) == sum(again.detections.values()) > 0
+    source, output = SourceRecording(Path(name).stem, drives / name), tmp_path / f"found{suffix}"
+    assert result_of(source.path, plan_for(output, suffix=suffix, crops=True)).state == "done"
+    folder = output / source.name
+    assert {one.name for one in folder.iterdir()} - {"metadata.yaml"} == {file, "crops", RECORD_NAME}
+    words = [str(source.path), "--output", str(output), "--jobs", "1", "--crops", *SET_MODEL]
+    assert main(words) == 0
+    row = rows(output)[source.name]
+    assert row["state"] == "skipped"
+    assert len(list((folder / "crops").rglob("*.jpg"))) == sum(row["detections"].values()) > 0
 
 
-def test_the_command_takes_the_format_from_the_name_of_the_folder(drives: Path, tmp_path: Path) -> None:
-    output = tmp_path / "found.csv"
-    assert result_of(drives / "film.avi", plan_for(output, suffix=".csv")).state == "done"
-    assert main([str(drives / "film.avi"), "--output", str(output), "--jobs", "1", *SET_MODEL]) == 0
-    assert states(output) == {"film": "skipped"}
+def test_an_export_of_another_size_than_the_default_is_used_as_in_a_single_run(
+    drives: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "best.onnx").write_bytes(small_export())
+    settings = validated({"weights": str(tmp_path / "best.onnx"), "device": "cpu"})
+    plan = plan_of(settings, tmp_path / "found", Export(None, ".jsonl"))
+    assert result_of(drives / "east", plan.chosen("onnxruntime", "fp32")).state == "done"
 
 
 def test_each_format_with_or_without_crops_is_another_result(tmp_path: Path) -> None:
@@ -168,12 +165,9 @@ def result(source: SourceRecording, tmp_path: Path) -> Path:
     folder, plan = tmp_path / "found" / "drive", plan_for(tmp_path / "found")
     folder.mkdir(parents=True)
     (folder / "drive.mcap").write_bytes(b"detections")
-    Record(
-        weights_sha256=plan.settings.weights_sha256,
-        settings_sha256=plan.settings_sha256,
-        recording_sha256=recording_digest(source.path),
-        result=RecordingResult(recording="drive", path="/before", state="done", images=3),
-    ).write(folder)
+    made_from = origin(source.path, plan)
+    row = RecordingResult(recording="drive", path="/before", state="done", images=3, made_from=made_from)
+    (folder / RECORD_NAME).write_text(row.model_dump_json())
     return folder
 
 

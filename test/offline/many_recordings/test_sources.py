@@ -18,12 +18,11 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         *("monday/a/a_0.mcap", "monday/a/metadata.yaml", "monday/b/b_0.db3", "monday/b/metadata.yaml"),
         *("monday/notes.txt", "monday/empty/notes.txt", "monday/.hidden/h.mcap"),
         *("tuesday/a/a_0.mcap", "tuesday/a/metadata.yaml", "tuesday/c/c_0.mcap.zstd"),
-        *("files/d.mcap", "files/e_0.mcap.zstd", "files/e_1.db3", "lost/one.mcap"),
+        *("files/d.mcap", "files/d.mcap.md5", "files/e_0.mcap.zstd", "files/e_1.db3", "lost/one.mcap"),
         *("shots/0.png", "shots/raw/r.mcap", "found/a/a.mcap", "found/a/metadata.yaml"),
         *("summary.json/s.mcap", "dots/..mcap", "dots/a.mcap"),
         *("films/f.mp4", "films/g.AVI", "films/notes.txt", "one film/h.mkv"),
         *("mixed/m.mov", "mixed/bag/b.mcap", "pictures/p.jpg", "pictures/p.mp4"),
-        *("checked/a.mcap", "checked/a.mcap.md5", "checked/b.db3", "checked/b.db3.part"),
     )
     for file in files:
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
@@ -37,15 +36,9 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         pytest.param(["monday"], ["a", "b"], id="folder of recordings"),
         pytest.param(["monday/a", "monday"], ["a", "b"], id="one twice"),
-        pytest.param(["files"], ["d", "e_0", "e_1"], id="folder of files"),
-        pytest.param(["checked"], ["a", "b"], id="folder of files and their checksums"),
+        pytest.param(["files"], ["d", "e_0", "e_1"], id="folder of files and checksums"),
         pytest.param(["pictures/../films"], ["f", "g"], id="path over another folder"),
-        pytest.param(["films"], ["f", "g"], id="folder of videos"),
-        pytest.param(["one film"], ["h"], id="folder of one video"),
-        pytest.param(["mixed"], ["bag", "m"], id="folder of recordings and videos"),
-        pytest.param(
-            ["films", "monday/a", "one film/h.mkv"], ["f", "g", "a", "h"], id="videos and recordings"
-        ),
+        pytest.param(["mixed", "monday/a", "one film/h.mkv"], ["bag", "m", "a", "h"], id="all kinds"),
     ],
 )
 def test_sources_stand_for_recordings(sources: list[str], names: list[str], home: Path) -> None:
@@ -60,6 +53,7 @@ def test_sources_stand_for_recordings(sources: list[str], names: list[str], home
         pytest.param(
             ["monday/notes.txt", "files"], "notes.txt: expected ros2 bag recordings", id="no recording"
         ),
+        pytest.param(["monday", "shots/0.png"], "A folder of images is .* give it alone", id="image"),
         pytest.param(["found"], "found: it is in the folder of results", id="results"),
         pytest.param(["dots/..mcap"], "dots/..mcap: its result cannot have that name", id="dots"),
         pytest.param(
@@ -104,8 +98,3 @@ def test_one_recording_is_one_unless_it_is_named_as_many(sources: list[str], man
 def test_a_pattern_in_quotes_is_told_to_go_without(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["monday/*", "--output", "new"]) == 1
     assert "monday/*: file or folder not found; leave out quotes around a pattern" in capsys.readouterr().err
-
-
-def test_images_among_many_are_refused_with_the_way_to_use_them(home: Path) -> None:
-    with pytest.raises(SourceError, match="A folder of images is a source of its own: give it alone"):
-        recordings_of([home / "monday", home / "shots/0.png"], home / "found")

@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import json
 import os
-import threading
 from collections import Counter
 from collections.abc import Callable
+from multiprocessing.connection import Pipe
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import pytest
 from support.many_recordings import plan_for
 
 from yolov5_lifecycle.atomic_file import OutputError, hold, open_itself
 from yolov5_lifecycle.offline.detecting import DetectingError, RunStatistics
-from yolov5_lifecycle.offline.many_recordings.recording_task import OnImage
+from yolov5_lifecycle.offline.many_recordings import supervisor
 from yolov5_lifecycle.offline.many_recordings.results import Batch, Plan, RecordingResult
-from yolov5_lifecycle.offline.many_recordings.supervisor import MAX_DEATHS, detect_recordings
-from yolov5_lifecycle.offline.many_recordings.workers import Worker, suitable_count
+from yolov5_lifecycle.offline.many_recordings.supervisor import (
+    MAX_DEATHS,
+    Worker,
+    detect_recordings,
+    suitable_count,
+)
 from yolov5_lifecycle.offline.recordings import SourceRecording
 from yolov5_lifecycle.offline.terminal import Terminal, report
 from yolov5_lifecycle.process.environment import compute_threads
 
-PATIENCE_S = 60.0
 SOURCES = [SourceRecording(name, Path("/drives", name)) for name in "abcd"]
+
+Answer = Plan | RecordingResult | DetectingError | Literal["nothing yet"] | None
+"""What a process sends; None: it dies."""
 
 
 class Notes(Terminal):
@@ -42,48 +48,44 @@ class Notes(Terminal):
         self._on_progress(text)
 
 
-class ScriptedWorker(Worker):
-    """A worker that answers what `on_load` and `on_detect` return for it, unless they raise."""
-
-    def __init__(
-        self,
-        on_load: Callable[[ScriptedWorker, Plan], Plan],
-        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult],
-    ) -> None:
-        self.plans: list[Plan] = []
-        self.begun: list[str] = []
-        self.stopped = threading.Event()
-        self.is_closed = False
-        self._on_load, self._on_detect = on_load, on_detect
-
-    def load(self, plan: Plan) -> Plan:
-        self.plans.append(plan)
-        return self._on_load(self, plan)
-
-    def detect(self, source: SourceRecording, on_image: OnImage) -> RecordingResult:
-        self.begun.append(source.name)
-        on_image(1)
-        return self._on_detect(self, source)
-
-    def start(self) -> None:
-        if self.stopped.is_set():
-            raise ChildProcessError("the worker was stopped")
-
-    def stop(self) -> None:
-        self.stopped.set()
-
-    def close(self) -> None:
-        self.is_closed = True
-
-
-def loaded(worker: ScriptedWorker, plan: Plan) -> Plan:
+def loaded(plan: Plan) -> Answer:
     """What a worker answers that has loaded the model."""
     return plan.chosen("torch", "fp32")
 
 
-def done(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
+def done(source: SourceRecording) -> Answer:
     """What a worker answers that has read two images."""
     return RecordingResult(recording=source.name, path=str(source.path), state="done", images=2)
+
+
+class ScriptedWorker(Worker):
+    """A worker whose process answers at once what the functions of `run` return."""
+
+    def __init__(self, run: ScriptedRun) -> None:
+        self.source = None
+        self.connection, self._process_end = Pipe()
+        self.tasks: list[Plan | SourceRecording] = []
+        self.is_stopped = False
+        self._run = run
+
+    def send(self, task: Plan | SourceRecording) -> None:
+        self.tasks.append(task)
+        if isinstance(task, Plan):
+            answer = self._run.on_load(task)
+        else:
+            self._process_end.send(1)
+            answer = self._run.on_detect(task)
+        if answer is None:
+            self._process_end.close()
+        elif answer != "nothing yet":
+            self._process_end.send(answer)
+
+    def stop(self) -> None:
+        self.is_stopped = True
+
+    def close(self) -> int:
+        self.connection.close()
+        return -9
 
 
 class ScriptedRun:
@@ -92,33 +94,48 @@ class ScriptedRun:
     def __init__(
         self,
         folder: Path,
-        count: int = 2,
+        jobs: int = 2,
         *,
-        on_load: Callable[[ScriptedWorker, Plan], Plan] = loaded,
-        on_detect: Callable[[ScriptedWorker, SourceRecording], RecordingResult] = done,
+        on_load: Callable[[Plan], Answer] = loaded,
+        on_detect: Callable[[SourceRecording], Answer] = done,
         on_progress: Callable[[str], object] = lambda _: None,
-        **settings: Any,
     ) -> None:
+        self.on_load, self.on_detect, self._jobs = on_load, on_detect, jobs
         self.notes = Notes(on_progress)
-        self.workers = [ScriptedWorker(on_load, on_detect) for _ in range(count)]
-        self.plan = plan_for(folder / "found", **({"runtime": "auto"} | settings))
+        self.workers: list[ScriptedWorker] = []
+        self.plan = plan_for(folder / "found", runtime="auto")
 
     def run(self) -> Batch:
-        return detect_recordings(SOURCES, self.plan, new_workers=lambda _: self.workers, terminal=self.notes)
+        return detect_recordings(
+            SOURCES, self.plan, jobs=self._jobs, terminal=self.notes, new_worker=self._new_worker
+        )
+
+    def _new_worker(self, count: int) -> Worker:
+        assert count == self._jobs
+        self.workers.append(ScriptedWorker(self))
+        return self.workers[-1]
+
+    @property
+    def plans(self) -> list[Plan]:
+        return [task for worker in self.workers for task in worker.tasks if isinstance(task, Plan)]
 
     @property
     def begun(self) -> list[str]:
         """The recordings that were begun, in alphabetical order."""
-        return sorted(name for worker in self.workers for name in worker.begun)
+        tasks = [task for worker in self.workers for task in worker.tasks]
+        return sorted(task.name for task in tasks if isinstance(task, SourceRecording))
+
+    @property
+    def all_have_ended(self) -> bool:
+        return all(worker.is_stopped and worker.connection.closed for worker in self.workers)
 
 
 def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -> None:
     scripted = ScriptedRun(tmp_path, 3)
     batch = scripted.run()
-    settings = [plan.settings for worker in scripted.workers for plan in worker.plans]
-    assert [one.runtime for one in settings] == ["auto", "torch", "torch"]
-    assert [one.precision for one in settings] == ["auto", "fp32", "fp32"]
-    assert all(worker.stopped.is_set() and worker.is_closed for worker in scripted.workers)
+    assert [plan.settings.runtime for plan in scripted.plans] == ["auto", "torch", "torch"]
+    assert [plan.settings.precision for plan in scripted.plans] == ["auto", "fp32", "fp32"]
+    assert scripted.all_have_ended
     assert scripted.begun == list("abcd")
     assert (batch.states["done"], batch.images) == (4, 8)
 
@@ -126,39 +143,36 @@ def test_the_first_worker_chooses_runtime_and_precision_of_all(tmp_path: Path) -
 def test_the_recording_of_a_dead_worker_is_retried_until_it_fails(tmp_path: Path) -> None:
     deaths = ["a", "b", "b", "c"]
 
-    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        if source.name in deaths:
-            deaths.remove(source.name)
-            raise ChildProcessError("the worker died (signal 9)")
-        return done(worker, source)
+    def detect(source: SourceRecording) -> Answer:
+        if source.name not in deaths:
+            return done(source)
+        deaths.remove(source.name)
+        return None
 
     scripted = ScriptedRun(tmp_path, on_detect=detect)
     assert scripted.run().states == {"done": 3, "skipped": 0, "failed": 1}
     assert scripted.begun == list("aabbccd")
-    reason = f"the worker died (signal 9) {MAX_DEATHS} times while reading this recording"
+    died = "the worker died (signal 9)"
     assert sorted(scripted.notes.told) == [
-        "a: the worker died (signal 9); another worker retries it",
-        f"b: failed: {reason}",
-        "b: the worker died (signal 9); another worker retries it",
-        "c: the worker died (signal 9); another worker retries it",
+        f"a: {died}; another worker retries it",
+        f"b: failed: {died} {MAX_DEATHS} times while reading this recording",
+        f"b: {died}; another worker retries it",
+        f"c: {died}; another worker retries it",
     ]
 
 
 @pytest.mark.parametrize(
     ("answer", "told"),
     [
-        pytest.param(ChildProcessError("it died"), "it died while loading the model", id="dies"),
-        pytest.param(DetectingError("no such class"), "no such class", id="refuses"),
+        pytest.param(None, r"^the worker died \(signal 9\) while loading the model$", id="dies"),
+        pytest.param(DetectingError("no such class"), "^no such class$", id="refuses"),
     ],
 )
-def test_a_model_that_no_worker_can_load_ends_the_run(answer: Exception, told: str, tmp_path: Path) -> None:
-    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
-        raise answer
-
-    scripted = ScriptedRun(tmp_path, on_load=load)
+def test_a_model_that_no_worker_can_load_ends_the_run(answer: Answer, told: str, tmp_path: Path) -> None:
+    scripted = ScriptedRun(tmp_path, on_load=lambda _: answer)
     with pytest.raises(DetectingError, match=told):
         scripted.run()
-    assert all(worker.is_closed for worker in scripted.workers)
+    assert scripted.all_have_ended
     assert (scripted.begun, scripted.notes.told) == ([], [])
     assert not scripted.plan.output.exists()
     scripted.plan.output.mkdir()  # by the user, so that it stays
@@ -167,48 +181,63 @@ def test_a_model_that_no_worker_can_load_ends_the_run(answer: Exception, told: s
     assert scripted.plan.output.is_dir()
 
 
-def test_a_worker_that_cannot_load_the_model_ends_the_run(tmp_path: Path) -> None:
-    def load(worker: ScriptedWorker, plan: Plan) -> Plan:
-        if plan.settings.runtime != "auto":
-            raise ChildProcessError("it died")
-        return loaded(worker, plan)
-
-    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        if source.name == "a":
-            raise ChildProcessError("it died")
-        return done(worker, source)
-
-    scripted = ScriptedRun(tmp_path, 1, on_load=load, on_detect=detect)
-    with pytest.raises(
-        DetectingError, match=r"another worker could not start: it died .*give a smaller --jobs"
-    ):
+def test_another_worker_that_cannot_load_the_model_ends_the_run(tmp_path: Path) -> None:
+    scripted = ScriptedRun(
+        tmp_path, on_load=lambda plan: loaded(plan) if plan.settings.runtime == "auto" else None
+    )
+    with pytest.raises(DetectingError, match=r"another worker could not start: .*give a smaller --jobs"):
         scripted.run()
-    assert all(worker.is_closed for worker in scripted.workers)
+    assert scripted.all_have_ended
 
 
-def test_an_interrupt_ends_workers_and_whatever_waits_for_one(tmp_path: Path) -> None:
-    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        assert worker.stopped.wait(PATIENCE_S)
-        raise ChildProcessError("it died")
+def test_the_run_ends_with_the_last_result_even_if_another_worker_still_loads_the_model(
+    tmp_path: Path,
+) -> None:
+    scripted = ScriptedRun(
+        tmp_path, on_load=lambda plan: loaded(plan) if plan.settings.runtime == "auto" else "nothing yet"
+    )
+    assert scripted.run().states["done"] == len(SOURCES)
+    assert scripted.all_have_ended
 
+
+def test_an_interrupt_ends_all_workers(tmp_path: Path) -> None:
     def interrupt(shown: str) -> None:
         if ", 0 images" not in shown:
             raise KeyboardInterrupt
 
-    scripted = ScriptedRun(tmp_path, 3, on_detect=detect, on_progress=interrupt)
+    scripted = ScriptedRun(tmp_path, 3, on_progress=interrupt)
     with pytest.raises(KeyboardInterrupt):
         scripted.run()
     assert len(scripted.begun) <= 3
-    assert all(worker.stopped.is_set() and worker.is_closed for worker in scripted.workers)
-    assert scripted.notes.told == []
+    assert scripted.all_have_ended
+
+
+def test_a_recording_that_lacks_images_is_told(tmp_path: Path) -> None:
+    def incomplete(source: SourceRecording) -> Answer:
+        counts = {"images": 2, "missing": 3 * (source.name == "b")}
+        return RecordingResult(recording=source.name, path=str(source.path), state="done", **counts)
+
+    scripted = ScriptedRun(tmp_path, on_detect=incomplete)
+    assert not scripted.run().is_complete
+    (told,) = scripted.notes.told
+    assert told.startswith("b: the recording claims 5 images, but has 2")
+
+
+def test_a_result_that_was_finished_before_its_worker_died_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def finished(source: SourceRecording, plan: Plan) -> RecordingResult | None:
+        row = RecordingResult(recording=source.name, path=str(source.path), state="skipped")
+        return row if scripted.begun.count(source.name) == MAX_DEATHS else None
+
+    scripted = ScriptedRun(tmp_path, on_detect=lambda _: None)
+    monkeypatch.setattr(supervisor, "finished_before", finished)
+    assert scripted.run().states == {"done": 0, "skipped": 4, "failed": 0}
 
 
 def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:
-    def detect(worker: ScriptedWorker, source: SourceRecording) -> RecordingResult:
-        raise DetectingError("No space left on device")
-
-    scripted = ScriptedRun(tmp_path, on_detect=detect)
-    with pytest.raises(DetectingError, match="No space left"):
+    scripted = ScriptedRun(tmp_path, on_detect=lambda _: DetectingError("No space left on device"))
+    with pytest.raises(DetectingError, match=r"^No space left"):
         scripted.run()
 
 
@@ -219,12 +248,8 @@ def test_two_batches_do_not_share_a_folder(tmp_path: Path) -> None:
     assert hold(held, scripted.plan.output)
     with pytest.raises(OutputError, match="another detect_bag is writing to it"):
         scripted.run()
-    assert scripted.workers[0].plans == []
+    assert scripted.workers == []
     os.close(held)
-
-
-def no_memory(worker: ScriptedWorker, plan: Plan) -> Plan:
-    raise DetectingError("no memory")
 
 
 def summaries(folder: Path) -> dict[str, bytes]:
@@ -238,7 +263,7 @@ def test_the_old_summary_stays_until_the_new_one_is_whole(
     before = summaries(tmp_path / "found")
     assert json.loads(before["summary.json"])["states"]["done"] == 4
     with pytest.raises(DetectingError, match="no memory"):
-        ScriptedRun(tmp_path, on_load=no_memory).run()
+        ScriptedRun(tmp_path, on_load=lambda _: DetectingError("no memory")).run()
     assert summaries(tmp_path / "found") == before
 
     def full(descriptor: int) -> None:

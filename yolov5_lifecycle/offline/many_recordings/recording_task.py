@@ -19,11 +19,12 @@ from yolov5_lifecycle.offline.detecting import DetectingError, OfflineDetector, 
 from yolov5_lifecycle.offline.export.exporting import write_files
 from yolov5_lifecycle.offline.export.formats import JSON_LINES
 from yolov5_lifecycle.offline.many_recordings.results import (
+    RECORD_NAME,
     Plan,
-    Record,
     RecordingResult,
+    failed,
     finished_before,
-    recording_digest,
+    origin,
 )
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_video
 from yolov5_lifecycle.printable import in_lines, in_one_line
@@ -32,8 +33,6 @@ from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.streaming.frame_statistics import Outcome
 
-_DETECTIONS = "detections"
-"""Name of the file or folder in a result that is not a recording, without its suffix."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 OnImage = Callable[[int], object]
@@ -69,11 +68,9 @@ class RecordingTask:
                 raise error.__cause__ from None
             if getattr(error, "errno", None) in _NO_ROOM:
                 return DetectingError(in_lines(f"{self.plan.output}: {error}"))
-            return RecordingResult(
-                recording=source.name,
-                path=str(source.path),
-                state="failed",
-                reason=in_lines(str(error) or type(error).__name__),
+            return failed(
+                source,
+                in_lines(str(error) or type(error).__name__),
                 first_problem=self._first_problem,
                 seconds=time.monotonic() - begun_s,
             )
@@ -87,7 +84,7 @@ class RecordingTask:
     def _result(self, source: SourceRecording, begun_s: float) -> RecordingResult:
         if (finished := finished_before(source, self.plan)) is not None:
             return finished  # perhaps by a worker that was then killed
-        target, digest = self.plan.output / source.name, recording_digest(source.path)
+        target, made_from = self.plan.output / source.name, origin(source.path, self.plan)
         if os.path.lexists(target):
             raise OutputError(
                 f"{target} exists and is not replaced, as it was made from other weights, settings or files: "
@@ -103,15 +100,11 @@ class RecordingTask:
                 seconds=round(time.monotonic() - begun_s, 3),
                 runtime=self.plan.settings.runtime,
                 detections={name: statistics.objects[name] for name in self._prepared.detector.class_names},
+                made_from=made_from,
                 **statistics.counts,
             )
-            Record(
-                weights_sha256=self.plan.settings.weights_sha256,
-                settings_sha256=self.plan.settings_sha256,
-                recording_sha256=digest,
-                result=result,
-            ).write(unfinished)
-            if recording_digest(source.path) != digest:
+            (unfinished / RECORD_NAME).write_text(result.model_dump_json(indent=1) + "\n", encoding="utf-8")
+            if origin(source.path, self.plan) != made_from:
                 raise SourceError(f"{source.path}: it changed while it was read. Is it still being recorded?")
         return result
 
@@ -120,7 +113,7 @@ class RecordingTask:
         suffix = export.suffix or (JSON_LINES if is_video(source) else "")
         if suffix:
             unfinished.mkdir()
-        path = unfinished / f"{_DETECTIONS}{suffix}" if suffix else unfinished
+        path = unfinished / f"detections{suffix}" if suffix else unfinished
         crops = unfinished / export.crops if export.crops else None
         export = replace(export, path=path, suffix=suffix, crops=crops)
         if is_video(source):

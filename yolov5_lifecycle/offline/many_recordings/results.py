@@ -8,9 +8,9 @@ import os
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
@@ -22,7 +22,7 @@ from yolov5_lifecycle.offline.export.exporting import Export
 from yolov5_lifecycle.offline.recordings import METADATA, SourceRecording, is_storage
 from yolov5_lifecycle.offline.terminal import report
 from yolov5_lifecycle.quantization.calibration_file import calibration_digest
-from yolov5_lifecycle.settings.settings import Settings, validated
+from yolov5_lifecycle.settings.settings import Settings
 
 RECORD_NAME = "detect_bag.json"
 SUMMARY_NAME = "summary.json"
@@ -49,7 +49,8 @@ class Plan:
 
     def chosen(self, runtime: str, precision: str) -> Plan:
         """The plan with what the first worker has chosen."""
-        return replace(self, settings=_changed(self.settings, runtime=runtime, precision=precision))
+        changes = {"runtime": runtime, "precision": precision}
+        return replace(self, settings=self.settings.model_copy(update=changes))
 
 
 def plan_of(settings: Settings, output: Path, export: Export) -> Plan:
@@ -61,15 +62,11 @@ def plan_of(settings: Settings, output: Path, export: Export) -> Plan:
     return Plan(
         output=output,
         export=export,
-        settings=_changed(settings, weights=str(weights), weights_sha256=digest),
+        settings=settings.model_copy(update={"weights": str(weights), "weights_sha256": digest}),
         settings_sha256=_sha256(
             json.dumps([values, asdict(export), calibration], sort_keys=True, default=str)
         ),
     )
-
-
-def _changed(settings: Settings, **values: str) -> Settings:
-    return validated({**settings.model_dump(mode="json"), **values})
 
 
 def _sha256(text: str) -> str:
@@ -77,7 +74,7 @@ def _sha256(text: str) -> str:
 
 
 class RecordingResult(BaseModel):
-    """A row of the summary."""
+    """A row of the summary; in the folder of a result, the record that it is finished."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -104,74 +101,75 @@ class RecordingResult(BaseModel):
     runtime: str = ""
     detections: dict[str, NonNegativeInt] = {}
     """By class, for every class of the model; empty if the recording failed."""
+    made_from: str = ""
+    """Digest of weights, settings and recording, see `origin`."""
 
 
-class Record(BaseModel):
-    """What a finished result was made from, and its row of the summary."""
-
-    model_config = ConfigDict(frozen=True)
-
-    weights_sha256: str
-    settings_sha256: str
-    recording_sha256: str
-    """See `recording_digest`."""
-    result: RecordingResult
-
-    def write(self, folder: Path) -> None:
-        (folder / RECORD_NAME).write_text(self.model_dump_json(indent=1) + "\n", encoding="utf-8")
+def failed(source: SourceRecording, reason: str, **facts: Any) -> RecordingResult:
+    """The row of a recording without a result, for this `reason`."""
+    return RecordingResult(
+        recording=source.name, path=str(source.path), state="failed", reason=reason, **facts
+    )
 
 
 def finished_before(source: SourceRecording, plan: Plan) -> RecordingResult | None:
     """The row of a recording whose result was made from the same; None if there is none."""
     try:
-        record = Record.model_validate_json((plan.output / source.name / RECORD_NAME).read_bytes())
-        digest = recording_digest(source.path)
+        row = RecordingResult.model_validate_json((plan.output / source.name / RECORD_NAME).read_bytes())
+        made_from = origin(source.path, plan)
     except (OSError, ValidationError):
         return None
-    wanted = plan.settings.weights_sha256, plan.settings_sha256, digest
-    if (record.weights_sha256, record.settings_sha256, record.recording_sha256) != wanted:
+    if row.made_from != made_from:
         return None
-    return record.result.model_copy(
-        update={"state": "skipped", "recording": source.name, "path": str(source.path)}
-    )
+    return row.model_copy(update={"state": "skipped", "recording": source.name, "path": str(source.path)})
 
 
-def recording_digest(recording: Path) -> str:
-    """Digest of name, size and time of the last change of each file of a recording; raises OSError."""
+def origin(recording: Path, plan: Plan) -> str:
+    """Digest of weights, settings, and name, size and time of the last change of each file of a recording.
+
+    Raises OSError.
+    """
     files = [recording]
     if recording.is_dir():
         files = sorted(path for path in recording.iterdir() if is_storage(path) or path.name == METADATA)
-    return _sha256(repr([(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]))
+    stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files]
+    return _sha256(repr([plan.settings.weights_sha256, plan.settings_sha256, stats]))
 
 
+@dataclass
 class Batch:
     """The results of a run over `count` recordings; `str` of it is a summary for the user."""
 
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self.results: dict[str, RecordingResult] = {}
-        self.begun_s = time.monotonic()
-        """When the first model was loaded."""
-        self._in_progress: dict[str, int] = {}
-
-    def progress(self, recording: str, images: int) -> None:
-        """So many images of `recording` are done; any thread may call it."""
-        self._in_progress[recording] = images
+    count: int
+    results: dict[str, RecordingResult] = field(default_factory=dict)
+    in_progress: dict[str, int] = field(default_factory=dict)
+    """How many images of a recording are done."""
+    done_images: int = 0
+    """Images of the recordings that this run has finished."""
+    begun_s: float = field(default_factory=time.monotonic)
+    """When the first model was loaded."""
 
     def add(self, result: RecordingResult) -> None:
-        self._in_progress.pop(result.recording, None)
+        self.in_progress.pop(result.recording, None)
         self.results[result.recording] = result
+        if result.state == "done":
+            self.done_images += result.images
 
     @property
     def images(self) -> int:
         """Images of this run, of unfinished recordings too."""
-        done = (result.images for result in self.results.values() if result.state == "done")
-        return sum(done) + sum(self._in_progress.values())
+        return self.done_images + sum(self.in_progress.values())
 
     @property
-    def rate_hz(self) -> float:
+    def rate(self) -> str:
         """Images per second of all workers together."""
-        return self.images / max(time.monotonic() - self.begun_s, 1e-9)
+        return f"{self.images / max(time.monotonic() - self.begun_s, 1e-9):.1f}"
+
+    @property
+    def progress(self) -> str:
+        """What is done, in one line."""
+        done = f"{len(self.results)} of {self.count} recordings, {self.images} images"
+        return f"{done}, {self.rate} per second"
 
     @property
     def is_complete(self) -> bool:
@@ -203,7 +201,7 @@ class Batch:
         return (
             f"recordings  {self.count}: {states}\n"
             f"{report(counts, +self.detections, expected=counts['images'] + counts['missing'])}"
-            f"rate        {self.rate_hz:.1f} images per second in this run\n"
+            f"rate        {self.rate} images per second in this run\n"
         )
 
 

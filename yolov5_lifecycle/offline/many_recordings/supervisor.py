@@ -3,44 +3,127 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Pipe, wait
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
 from yolov5_lifecycle.atomic_file import OutputError, hold, open_itself, remove_abandoned_folders
 from yolov5_lifecycle.offline.detecting import DetectingError
+from yolov5_lifecycle.offline.many_recordings.recording_task import main
 from yolov5_lifecycle.offline.many_recordings.results import (
     Batch,
     Plan,
     RecordingResult,
     check_summary,
+    failed,
     finished_before,
     write_summary,
 )
-from yolov5_lifecycle.offline.many_recordings.workers import Worker
 from yolov5_lifecycle.offline.recordings import SourceRecording, is_recording
 from yolov5_lifecycle.offline.terminal import Terminal, missing_images
+from yolov5_lifecycle.process.environment import compute_threads, prepare_environment
+from yolov5_lifecycle.process.memory import available_bytes
 
 MAX_DEATHS = 2
 """Workers that may die at one recording."""
+# The path of this process; `-m` would search the current folder first, which may be one of recordings.
+# `main` needs torch, for which the environment must be prepared.
+_PROGRAM = (
+    "import sys; sys.path[:] = {path!r}; "
+    f"from {prepare_environment.__module__} import prepare_environment; prepare_environment(); "
+    f"from {main.__module__} import main; main({{descriptor}})"
+)
+_THREADS = ("OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+"""Variables for the number of threads of torch, which the runtimes follow, and of OpenCV."""
+_WORKER_BYTES = 1 << 30
+_END_S = 10.0
 _PROGRESS_S = 0.5
+
+
+def suitable_count(recordings: int, jobs: int | None = None) -> int:
+    """`jobs` or as many workers as this machine has room for, but no more than `recordings`.
+
+    There is room for one per core, but at most one per GiB of free memory.
+    """
+    free_bytes = available_bytes()
+    room = compute_threads() if free_bytes is None else min(compute_threads(), free_bytes // _WORKER_BYTES)
+    return max(1, min(jobs or room, recordings))
+
+
+class Worker:
+    """One of `count` processes of this machine, each with one model, for one recording at a time."""
+
+    def __init__(self, count: int) -> None:
+        self.source: SourceRecording | None = None
+        """What it detects in; None while it loads the model."""
+        self.connection, other = Pipe()
+        threads = str(max(1, compute_threads() // count))
+        with other:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _PROGRAM.format(path=sys.path, descriptor=other.fileno())],
+                pass_fds=[other.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                env=dict.fromkeys(_THREADS, threads) | os.environ,
+                start_new_session=True,  # Ctrl-C in a terminal is for the process that started them
+            )
+
+    def send(self, task: Plan | SourceRecording) -> None:
+        """Let it load the model of a plan, or detect in a recording."""
+        with suppress(OSError):  # it has died, as `answer` will tell
+            self.connection.send(task)
+
+    def answer(self) -> Plan | int | RecordingResult:
+        """What it says: the plan as it has chosen it; how many images are done, and then the result.
+
+        Raises DetectingError if it cannot load the model or nothing more can be written, and
+        ChildProcessError if it has died at a recording.
+        """
+        try:
+            answer = self.connection.recv()
+        except (EOFError, OSError):
+            code = self.close()
+            end = f"the worker died (signal {-code})" if code < 0 else f"the worker exited (code {code})"
+            if self.source is None:
+                raise DetectingError(f"{end} while loading the model") from None
+            raise ChildProcessError(end) from None
+        if isinstance(answer, DetectingError):
+            raise answer
+        assert isinstance(answer, Plan | int | RecordingResult)
+        return answer
+
+    def stop(self) -> None:
+        """Make it end."""
+        self._process.terminate()
+
+    def close(self) -> int:
+        """Wait until it has ended; returns its exit code."""
+        self.connection.close()
+        try:
+            return self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
 
 
 def detect_recordings(
     sources: Sequence[SourceRecording],
     plan: Plan,
     *,
-    new_workers: Callable[[int], Sequence[Worker]],
+    jobs: int | None,
     terminal: Terminal,
+    new_worker: Callable[[int], Worker] = Worker,
 ) -> Batch:
     """Write a result for each of `sources`, and a summary, to the folder `plan.output`.
 
-    `new_workers` is called with the number of recordings that have no result yet, unless that is 0. Raises
-    OutputError, OSError, and DetectingError if the model cannot be loaded or nothing more can be written.
+    Raises OutputError, OSError, and DetectingError if the model cannot be loaded or nothing more can be
+    written.
     """
     batch = Batch(len(sources))
     with _output_folder(plan.output):
@@ -48,8 +131,8 @@ def detect_recordings(
             if (finished := finished_before(source, plan)) is not None:
                 batch.add(finished)
         check_summary(plan.output)
-        if waiting := [source for source in sources if source.name not in batch.results]:
-            _Run(plan, new_workers(len(waiting)), batch, terminal).run(waiting)
+        if waiting := deque(source for source in sources if source.name not in batch.results):
+            _Run(waiting, plan, new_worker, suitable_count(len(waiting), jobs), batch, terminal).run()
         write_summary(plan, batch, [source.name for source in sources])
     return batch
 
@@ -81,99 +164,100 @@ def _output_folder(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
+@dataclass
 class _Run:
-    """Hands out recordings to workers, each of which has a thread that waits for its answers."""
+    """Hands out recordings to at most `count` workers at a time; the first chooses the runtime for all."""
 
-    def __init__(self, plan: Plan, workers: Sequence[Worker], batch: Batch, terminal: Terminal) -> None:
-        self._plan = plan
-        self._workers = workers
-        self._batch = batch
-        self._terminal = terminal
-        self._waiting = SimpleQueue[SourceRecording | None]()
-        self._ended = SimpleQueue[RecordingResult | Exception]()
-        self._deaths = Counter[str]()
+    waiting: deque[SourceRecording]
+    plan: Plan
+    new_worker: Callable[[int], Worker]
+    count: int
+    batch: Batch
+    terminal: Terminal
+    workers: list[Worker] = field(default_factory=list)
+    """Those that load the model or detect."""
+    is_chosen: bool = False
+    """Whether the first worker has loaded the model."""
+    deaths: Counter[str] = field(default_factory=Counter)
+    """By recording."""
 
-    def run(self, sources: Sequence[SourceRecording]) -> None:
-        """Add the results of `sources` to the batch; the first worker chooses the runtime for all."""
-        for source in sources:
-            self._waiting.put(source)
-        executor = ThreadPoolExecutor(len(self._workers))
+    def run(self) -> None:
+        """Add the results of all recordings to the batch."""
         try:
-            self._plan = _loaded(self._workers[0], self._plan)
-            self._batch.begun_s = time.monotonic()
-            for worker in self._workers:
-                executor.submit(self._serve, worker, is_loaded=worker is self._workers[0])
-            self._collect()
+            for _ in range(self.count):  # while the first loads the model, the others start
+                self.workers.append(self.new_worker(self.count))
+            self.workers[0].send(self.plan)
+            while len(self.batch.results) < self.batch.count:  # without waiting for a model not needed
+                ready = wait([worker.connection for worker in self.workers], _PROGRESS_S)
+                for worker in [worker for worker in self.workers if worker.connection in ready]:
+                    self._hear(worker)
+                self.terminal.show(self.batch.progress)
         finally:
-            for worker in self._workers:
+            for worker in self.workers:
                 worker.stop()
-                self._waiting.put(None)
-            executor.shutdown()
-            for worker in self._workers:
+            for worker in self.workers:
                 worker.close()
 
-    def _collect(self) -> None:
-        """Add what the threads end until all is there; raises what they raise."""
-        while len(self._batch.results) < self._batch.count:
-            with suppress(Empty):
-                ended = self._ended.get(timeout=_PROGRESS_S)
-                if isinstance(ended, Exception):
-                    raise ended
-                self._batch.add(ended)
-                if ended.state == "failed":
-                    self._terminal.tell(f"{ended.recording}: failed: {ended.reason}")
-                elif ended.missing:
-                    missing = missing_images(ended.images + ended.missing, ended.images)
-                    self._terminal.tell(f"{ended.recording}: {missing}")
-            self._terminal.show(
-                f"{len(self._batch.results)} of {self._batch.count} recordings, {self._batch.images} images, "
-                f"{self._batch.rate_hz:.1f} per second"
-            )
-
-    def _serve(self, worker: Worker, *, is_loaded: bool) -> None:
-        """Let `worker` detect in one recording after the other, until there are none."""
+    def _hear(self, worker: Worker) -> None:
+        """Take what `worker` says, and give it another recording unless it is busy with one."""
         try:
-            while True:
-                if not is_loaded:
-                    self._load_another(worker)
-                if (source := self._waiting.get()) is None:
-                    return
-                is_loaded = self._detect(worker, source)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it ends the run
-            self._ended.put(error)
-
-    def _load_another(self, worker: Worker) -> None:
-        try:
-            _loaded(worker, self._plan)
+            answer = worker.answer()
+        except ChildProcessError as error:
+            self._bury(worker, error)
+            return
         except DetectingError as error:
+            if worker.source is not None or not self.is_chosen:
+                raise
             raise DetectingError(
                 f"another worker could not start: {error}. If memory is short, give a smaller --jobs."
             ) from None
+        if isinstance(answer, int):
+            assert worker.source is not None
+            self.batch.in_progress[worker.source.name] = answer
+            return
+        if isinstance(answer, RecordingResult):
+            self._end(answer)
+        elif not self.is_chosen:
+            self._choose(answer)
+        self._give(worker)
 
-    def _detect(self, worker: Worker, source: SourceRecording) -> bool:
-        """Whether `worker` still lives; if it died, another one begins `source` again, or it has failed."""
-        try:
-            self._ended.put(worker.detect(source, lambda images: self._batch.progress(source.name, images)))
-        except ChildProcessError as error:
-            worker.start()
-            self._deaths[source.name] += 1
-            if self._deaths[source.name] < MAX_DEATHS:
-                self._terminal.tell(f"{source.name}: {error}; another worker retries it")
-                self._waiting.put(source)
-            else:
-                reason = f"{error} {MAX_DEATHS} times while reading this recording"
-                self._ended.put(
-                    RecordingResult(
-                        recording=source.name, path=str(source.path), state="failed", reason=reason
-                    )
-                )
-            return False
-        return True
+    def _choose(self, plan: Plan) -> None:
+        """Let the other workers load the same model as the first."""
+        self.plan, self.is_chosen = plan, True
+        self.batch.begun_s = time.monotonic()
+        for worker in self.workers[1:]:
+            worker.send(plan)
 
+    def _give(self, worker: Worker) -> None:
+        """Let `worker` begin the next recording, or end."""
+        if self.waiting:
+            worker.source = self.waiting.popleft()
+            worker.send(worker.source)
+        else:
+            self.workers.remove(worker)
+            worker.stop()
+            worker.close()
 
-def _loaded(worker: Worker, plan: Plan) -> Plan:
-    """The plan as `worker` has chosen it; raises DetectingError if it cannot load the model."""
-    try:
-        return worker.load(plan)
-    except ChildProcessError as error:
-        raise DetectingError(f"{error} while loading the model") from None
+    def _bury(self, worker: Worker, error: ChildProcessError) -> None:
+        """Let another worker begin the recording of one that has died, or tell that it has failed."""
+        self.workers.remove(worker)
+        source = worker.source
+        assert source is not None
+        self.deaths[source.name] += 1
+        if self.deaths[source.name] < MAX_DEATHS:
+            self.terminal.tell(f"{source.name}: {error}; another worker retries it")
+            self.waiting.append(source)
+        else:
+            reason = f"{error} {MAX_DEATHS} times while reading this recording"
+            self._end(finished_before(source, self.plan) or failed(source, reason))
+        if self.waiting:
+            self.workers.append(self.new_worker(self.count))
+            self.workers[-1].send(self.plan)
+
+    def _end(self, result: RecordingResult) -> None:
+        self.batch.add(result)
+        if result.state == "failed":
+            self.terminal.tell(f"{result.recording}: failed: {result.reason}")
+        elif result.missing:
+            missing = missing_images(result.images + result.missing, result.images)
+            self.terminal.tell(f"{result.recording}: {missing}")

@@ -9,12 +9,13 @@ from concurrent.futures import Future
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 
+import vision_msgs.msg
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from std_msgs.msg import Header
-from vision_msgs.msg import LabelInfo, VisionClass
 
 from yolov5_lifecycle.collecting.candidate import CollectRules
 from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
+from yolov5_lifecycle.detection.messages import label_info
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
@@ -358,11 +359,5 @@ class Session:
 
     def _publish_label_info(self, settings: Settings) -> None:
         """The class names of the model, and the threshold of the node."""
-        names = self.model.detector.class_names
-        self.label_info.publish(
-            LabelInfo(
-                header=Header(stamp=self.node.get_clock().now().to_msg()),
-                class_map=[VisionClass(class_id=index, class_name=name) for index, name in enumerate(names)],
-                threshold=settings.confidence_threshold,
-            )
-        )
+        names, header = self.model.detector.class_names, Header(stamp=self.node.get_clock().now().to_msg())
+        self.label_info.publish(label_info(names, settings.confidence_threshold, header, vision_msgs.msg))
