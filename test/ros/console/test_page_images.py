@@ -102,6 +102,9 @@ def test_each_detector_has_a_tab_and_only_the_shown_one_sends_images(
         wait_for_viewers(robot, 0)
         page.driver.find_element(By.PARTIAL_LINK_TEXT, NODE).click()
         page.wait_for_image()
+    tab = page.driver.find_element(By.PARTIAL_LINK_TEXT, "/second")
+    # Until then the console announces it to new pages, which show the first name: that of the next test's.
+    page.wait_for(lambda: tab.text.endswith("lost"), "its end")
 
 
 def wait_for_condition(page: ConsolePage, name: str, word: str) -> None:
