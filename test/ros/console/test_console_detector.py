@@ -104,7 +104,7 @@ def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, p
         assert reason.startswith(f"{NODE}/change_state was lost before it answered; it may have done")
         assert await known.detector.set({"max_rate": 3.0}) == f"{NODE} is lost"
         assert await known.detector.change_state("shutdown") == ""
-        assert await known.detector.collect() == (False, f"{NODE} is lost")
+        assert await known.detector.collect() == (f"{NODE} is lost", "")
 
     served.bring_to("inactive")
     prepare.gate.clear()

@@ -17,13 +17,14 @@ from std_srvs.srv import Trigger
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.parameter_view import parameter_message, parameters_as_json
 from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
     camera_as_json,
     class_names_of,
+    parameter_message,
+    parameters_as_json,
 )
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS, usable_names
@@ -93,7 +94,7 @@ class Detector:
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Start querying the node. Raises NameValidationException."""
+        """Start querying the node."""
         await self._ros.run(self._create)
         self._task = asyncio.create_task(self._keep_up_to_date())
 
@@ -114,8 +115,7 @@ class Detector:
         self._labels = node.create_subscription(LabelInfo, topic, labels.put, _LATCHED)
 
     def _destroy(self) -> None:
-        if self._labels is not None:
-            self._ros.node.destroy_subscription(self._labels)
+        self._ros.node.destroy_subscription(self._labels)
         for client in self._clients.values():
             self._ros.node.destroy_client(client)
 
@@ -130,11 +130,6 @@ class Detector:
         return self._heard_s is not None and time.monotonic() - self._heard_s > _SILENCE_S
 
     @property
-    def camera_names(self) -> tuple[str, ...]:
-        """Names in the parameter `cameras`, without impossible ones."""
-        return usable_names(self._parameters.get("cameras", {}).get("value"))
-
-    @property
     def status(self) -> StatusView | None:
         """The last diagnostics of the node as a whole."""
         return self.statuses.get(NODE_STATUS)
@@ -142,7 +137,8 @@ class Detector:
     @property
     def cameras(self) -> dict[str, StatusView | None]:
         """The last diagnostics of each camera by name; the only camera of a detector without names is ""."""
-        return {name: self.statuses.get(name or NODE_STATUS) for name in self.camera_names or [""]}
+        names = usable_names(self._parameters.get("cameras", {}).get("value"))
+        return {name: self.statuses.get(name or NODE_STATUS) for name in names or [""]}
 
     def as_json(self) -> dict[str, object]:
         """Everything that the page shows of the detector."""
@@ -191,13 +187,14 @@ class Detector:
             self._on_change(self)
             self.ask_soon()
 
-    async def collect(self) -> tuple[bool, str]:
-        """Have the next image of each camera kept: whether the node agrees, and its answer in words."""
+    async def collect(self) -> tuple[str, str]:
+        """Have the next image of each camera kept; returns the reason for a refusal, or "" and the answer."""
         try:
             answer = await self._call("collect", Trigger.Request())
         except ConnectionError as error:
-            return False, str(error)
-        return bool(answer.success), in_one_line(answer.message, _MAX_WORDS) or _NO_REASON
+            return str(error), ""
+        words = in_one_line(answer.message, _MAX_WORDS) or _NO_REASON
+        return ("", words) if answer.success else (words, "")
 
     async def _call(self, service: str, request: Any, timeout_s: float = _ASK_S) -> Any:
         """The response of the node; raises ConnectionError."""

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log, ParameterEvent
-from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -105,10 +104,7 @@ class Detectors:
         log, publishers = self._logs.pop(name, LogView()), self._candidates[name]
         detector = Detector(self._ros, name, on_change=self._changed, log=log, publishers=publishers)
         self._followed[name] = detector
-        try:
-            await detector.open()
-        except NameValidationException as error:
-            self._ros.node.get_logger().warning(f"{name} cannot be shown: {error}")
+        await detector.open()
 
     async def _forget(self, detector: Detector) -> None:
         del self._followed[detector.name]

@@ -14,9 +14,8 @@ from starlette.exceptions import HTTPException
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from yolov5_lifecycle.ros.console.budget import MAX_ADDRESSES, Budget
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
-from yolov5_lifecycle.ros.console.sessions import Sessions
+from yolov5_lifecycle.ros.console.sessions import MAX_ADDRESSES, Budget, Sessions
 
 LOGIN, METRICS = "/login", "/metrics"
 _REQUESTS_PER_S = 100.0
