@@ -51,8 +51,6 @@ class Gate:
         self._requests_of = lru_cache(MAX_ADDRESSES)(lambda _: Budget(_REQUESTS_PER_S, _REQUESTS))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            return
         application = self._application
         try:
             self._check(scope, Headers(scope=scope))
