@@ -89,11 +89,11 @@ def wait_for_viewers(robot: ConsoleRobot, count: int) -> None:
 
 
 def wait_for_condition(page: ConsolePage, name: str, summary: str, tab: str) -> str:
-    """Wait until the summary shows the condition `name` and words, and the tab its own; the tab's colour."""
+    """Wait until the summary shows the condition `name` and words, and the tab its own; the symbol's colour."""
     script = """
         const [reason, tab] = [arguments[0], document.querySelector("nav a")];
         const shown = [reason.dataset.condition, reason.querySelector(".level").textContent, tab.textContent];
-        return [shown, getComputedStyle(tab.querySelector(".word")).color];
+        return [shown, getComputedStyle(tab.querySelector(".symbol")).color];
         """
 
     def colour() -> str:
