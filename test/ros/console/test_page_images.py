@@ -89,7 +89,7 @@ def wait_for_viewers(robot: ConsoleRobot, count: int) -> None:
 
 
 def wait_for_condition(page: ConsolePage, name: str, summary: str, tab: str) -> str:
-    """Wait until the summary shows the condition `name` and words, and the tab its own; the symbol's colour."""
+    """Wait until summary and tab show the condition `name` in their words; the colour of the tab's symbol."""
     script = """
         const [reason, tab] = [arguments[0], document.querySelector("nav a")];
         const shown = [reason.dataset.condition, reason.querySelector(".level").textContent, tab.textContent];
