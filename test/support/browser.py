@@ -1,4 +1,4 @@
-"""Chromium without a window, driven by Selenium, and the fingers and the mouse wheel of its user."""
+"""Chromium without a window, driven by Selenium, and a finger of its user."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def middle(part: WebElement) -> Point:
 
 
 class Finger:
-    """One or more fingers of one hand."""
+    """A finger on the screen."""
 
     def __init__(self, driver: Chrome) -> None:
         self._driver = driver
@@ -91,34 +91,20 @@ class Finger:
 
     def drag(self, corners: Sequence[Point]) -> None:
         """Touch the first corner and go to each further one; the finger stays down."""
-        self.touch(corners[0])
+        self._send("touchStart", corners[0])
         for (x1, y1), (x2, y2) in pairwise(corners):
             for step in range(1, _STEPS + 1):
                 part = step / _STEPS
                 self._send("touchMove", (x1 + (x2 - x1) * part, y1 + (y2 - y1) * part))
-
-    def touch(self, *points_xy: Point) -> None:
-        """Put fingers down; those that are down already are named first."""
-        self._send("touchStart", *points_xy)
-
-    def move(self, *points_xy: Point) -> None:
-        self._send("touchMove", *points_xy)
 
     def lift(self, *, is_cancelled: bool = False) -> None:
         """`is_cancelled`: the system takes the touch, as for a call that comes in."""
         self._send("touchCancel" if is_cancelled else "touchEnd")
 
     def tap(self, point_xy: Point) -> None:
-        self.touch(point_xy)
+        self.drag([point_xy])
         self.lift()
 
     def _send(self, kind: str, *points_xy: Point) -> None:
-        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points_xy)]
+        points = [{"x": x, "y": y} for x, y in points_xy]
         self._driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
-
-def turn_wheel(driver: Chrome, point_xy: Point, down_px: float) -> None:
-    """Turn the wheel of a mouse that is over `point_xy`."""
-    x, y = point_xy
-    wheel = {"type": "mouseWheel", "x": x, "y": y, "deltaX": 0, "deltaY": down_px}
-    driver.execute_cdp_cmd("Input.dispatchMouseEvent", wheel)

@@ -1,6 +1,6 @@
 """Twelve detectors in one process, with models of the test's that have 80 classes.
 
-The first is active, the second has refused to be activated, the others are unconfigured.
+The first is active, the others are unconfigured.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.nodes import stop_event
 
 NAMES = tuple(f"/detector_{number:02}" for number in range(12))
-ACTIVE, REFUSED, UNCONFIGURED = NAMES[:3]
+ACTIVE = NAMES[0]
 CLASS_NAMES = tuple(f"class {number}" for number in range(80))
 _SPIN_S = 0.05
 
@@ -51,8 +51,7 @@ def main() -> None:
 def _detector(name: str) -> DetectorNode:
     prepare = Preparations()
     prepare.class_names = CLASS_NAMES  # type: ignore[assignment]
-    prepare.refusal = "the model is of another planet" if name == REFUSED else ""
-    is_started = str(name in (ACTIVE, REFUSED)).lower()
+    is_started = str(name == ACTIVE).lower()
     words = ["--ros-args", "-r", f"__node:={name[1:]}", "-p", f"autostart:={is_started}"]
     return DetectorNode(prepare=prepare, cli_args=words, arguments=words)
 

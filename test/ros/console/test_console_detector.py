@@ -1,4 +1,4 @@
-"""What the console knows of a detector, when its answers are late or its process was replaced."""
+"""What the console knows of a detector, when its answers are late, an event is lost or its process ends."""
 
 from __future__ import annotations
 
@@ -20,34 +20,12 @@ from yolov5_lifecycle.ros.console.views import LogView
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
-class HeldDetector(Detector):
-    """Takes an answer about parameters once `gate` is open; `is_answered`: one is on its way."""
-
-    def __init__(self, ros: RosThread, **options: Any) -> None:
-        super().__init__(ros, NODE, log=LogView(), publishers=frozenset(), **options)
-        self.gate = asyncio.Event()
-        self.gate.set()
-        self.is_answered = asyncio.Event()
-
-    async def _call(self, service: str, *request: Any) -> Any:
-        answer = await super()._call(service, *request)
-        if service == "get_parameters":
-            self.is_answered.set()
-            await self.gate.wait()
-        return answer
-
-
 class KnownDetector:
-    """The console's view of `served`, which knows only what the test tells it and what it asks."""
+    """The console's view of a detector, which knows only what it asks: no event tells it anything."""
 
-    def __init__(self, served: ServedNode, ros: RosThread) -> None:
-        self.served = served
+    def __init__(self, ros: RosThread) -> None:
         self._changed = asyncio.Event()
-        self.detector = HeldDetector(ros, on_change=lambda _: self._changed.set())
-
-    async def set(self, name: str, value: float) -> None:
-        """Set the parameter in the node; the event that tells it does not arrive."""
-        assert await asyncio.to_thread(lambda: self.served.set(**{name: value})) == (True, "")
+        self.detector = Detector(ros, NODE, lambda _: self._changed.set(), LogView(), frozenset())
 
     async def wait_for(self, condition: Callable[[], bool]) -> None:
         while not condition():
@@ -60,13 +38,13 @@ class KnownDetector:
         return next((each["value"] for each in shown if each["name"] == name), None)
 
 
-def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) -> None:
+def play(act: Callable[[KnownDetector], Awaitable[None]]) -> None:
     """Let `act` use the detector in an event loop."""
 
     async def played(node: Node) -> None:
         ros = RosThread(node, asyncio.get_running_loop())
         ros.start()
-        known = KnownDetector(served, ros)
+        known = KnownDetector(ros)
         await known.detector.open()
         try:
             await act(known)
@@ -78,21 +56,16 @@ def play(served: ServedNode, act: Callable[[KnownDetector], Awaitable[None]]) ->
         asyncio.run(played(node))
 
 
-def test_a_value_that_changes_while_parameters_are_queried_is_shown(
+def test_a_value_whose_event_is_lost_is_shown_after_a_while(
     served: ServedNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def act(known: KnownDetector) -> None:
-        known.detector.gate.clear()
-        await asyncio.wait_for(known.detector.is_answered.wait(), PATIENCE_S)
-        await known.set("max_rate", 7.0)
-        known.detector.ask_soon()
-        known.detector.gate.set()
-        await known.wait_for(lambda: known.value("max_rate") == 7.0)
-        await known.set("max_rate", 8.0)  # its event is lost
+        await known.wait_for(lambda: known.value("max_rate") == 0.0)
+        assert await asyncio.to_thread(lambda: served.set(max_rate=8.0)) == (True, "")
         await known.wait_for(lambda: known.value("max_rate") == 8.0)
 
     monkeypatch.setattr(detector, "_REFRESH_S", 0.1)
-    play(served, act)
+    play(act)
 
 
 def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, prepare: Preparations) -> None:
@@ -105,11 +78,11 @@ def test_a_request_whose_detector_ends_is_answered_at_once(served: ServedNode, p
         assert reason.startswith(f"{NODE}/change_state was lost before it answered; it may have done")
         assert await known.detector.set({"max_rate": 3.0}) == f"{NODE} is lost"
         assert await known.detector.change_state("shutdown") == ""
-        assert await known.detector.collect() == (False, f"{NODE} is lost")
+        assert await known.detector.collect() == (f"{NODE} is lost", "")
 
     served.bring_to("inactive")
     prepare.gate.clear()
     try:
-        play(served, act)
+        play(act)
     finally:
         prepare.gate.set()

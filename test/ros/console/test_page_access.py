@@ -18,7 +18,6 @@ from support.browser import (
     middle,
     set_colour_scheme,
     set_screen,
-    turn_wheel,
 )
 from support.console_page import PATIENCE_S, ConsolePage
 from support.page_fixtures import ConsoleRobot, opened
@@ -291,13 +290,3 @@ def test_a_drag_that_is_cut_off_is_taken_back(touched: Touched) -> None:
     slider = touched.page.widget("image_size", SLIDER)
     touched.page.wait_for(lambda: slider.get_attribute("value") == "320", "the value that is set")
     assert touched.sent == before
-
-
-def test_the_wheel_over_a_widget_changes_nothing(page: ConsolePage) -> None:
-    before = shown(page)
-    for name, css in WIDGETS.items():
-        part = page.widget(name, css)
-        page.driver.execute_script("arguments[0].focus()", part)
-        turn_wheel(page.driver, middle(part), 240)
-        wait_for_frames(page)
-    assert shown(page) == before

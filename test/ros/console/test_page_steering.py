@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rcl_interfaces.srv import ListParameters
 from selenium.webdriver import ActionChains, Chrome
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.support.ui import Select
 from support.console_page import ConsolePage
 from support.console_process import address, console_process
 from support.detector_process import NODE, PARAMETERS, Sighting
@@ -183,35 +181,22 @@ def test_an_image_that_is_asked_for_is_kept_and_the_page_says_so(browser: Chrome
 def test_changes_of_every_widget_are_taken_back_to_what_was_when_the_page_was_opened(
     browser: Chrome, robot: ConsoleRobot
 ) -> None:
-    before: dict[str, object] = {
-        "confidence_threshold": 0.5,
-        "max_rate": 9.0,
-        "agnostic_nms": True,
-        "classes": ["circle"],
-        "precision": "fp32",
-    }
-    assert robot.detector.node.set_parameters(**before) == ""
+    changes: list[tuple[str, object, str, tuple[str, ...], object]] = [
+        ("confidence_threshold", 0.5, SLIDER, (Keys.END,), 1.0),
+        ("max_rate", 9.0, TEXT, (Keys.BACKSPACE, "7.5", Keys.ENTER), 7.5),
+        ("agnostic_nms", True, "input", (Keys.SPACE,), False),
+        ("classes", ["circle"], '[data-name="star"]', (Keys.ENTER,), ["circle", "star"]),
+        ("precision", "fp32", "select", ("auto",), "auto"),
+    ]
+    assert robot.detector.node.set_parameters(**{name: before for name, before, *_ in changes}) == ""
     page = opened(browser, robot.url)
-    changes: dict[str, tuple[Callable[[], object], object]] = {
-        "confidence_threshold": (
-            lambda: page.widget("confidence_threshold", SLIDER).send_keys(Keys.END),
-            1.0,
-        ),
-        "max_rate": (lambda: page.enter("max_rate", "7.5"), 7.5),
-        "agnostic_nms": (lambda: page.widget("agnostic_nms", "input").click(), False),
-        "classes": (lambda: page.widget("classes", '[data-name="star"]').click(), ["circle", "star"]),
-        "precision": (
-            lambda: Select(page.widget("precision", "select")).select_by_value("auto"),
-            "auto",
-        ),
-    }
-    for name, (change, after) in changes.items():
-        change()
+    for name, before, css, keys, after in changes:
+        page.widget(name, css).send_keys(*keys)
         wait_for_value(robot, page, name, after)
         back = page.widget(name, ".back")
         page.wait_for(back.is_displayed, "the button")
         back.click()
-        wait_for_value(robot, page, name, before[name])
+        wait_for_value(robot, page, name, before)
     page.wait_for(lambda: page.widget("max_rate", TEXT).get_attribute("value") == "9", "the old value")
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from selenium.webdriver import Chrome
 from support.colcon_workspace import REPOSITORY
@@ -42,36 +41,11 @@ def call(browser: Chrome, _isolated: None) -> Iterator[Call]:
         yield call
 
 
-def parameter(name: str, kind: str, value: object, default: object = None) -> dict[str, object]:
-    """A parameter as the page receives it."""
-    return {"name": name, "type": kind, "value": value, "is_shown": True, "default": default}
-
-
-def written(call: Call, folder: Path, *parameters: dict[str, object]) -> dict[str, object]:
-    """What a node reads from the file that the page makes."""
-    file = folder / "copied.yaml"
-    file.write_text(call("parameter_values.js", "yamlText", list(parameters)))
-    (values,) = read_parameter_file(file).values()
-    return dict(values)
-
-
-VALUES: dict[str, list[object]] = {
-    "bool": [True],
-    "integer": [-3],
-    "double": [1, 1e21],
-    "string": ["", "yes", "12", 'a "b" \\ c: #d\n\te\u0085f\u2028g\u007f'],
-    "string_array": [[]],
-}
-
-
-@pytest.mark.long
-def test_values_of_every_type_are_read_as_they_were(call: Call, tmp_path: Path) -> None:
-    given = [(kind, value) for kind, values in VALUES.items() for value in values]
-    parameters = [parameter(f"p{index}", *each) for index, each in enumerate(given)]
-    read = [*written(call, tmp_path, *parameters).values()]
-    assert read == [value for _, value in given]
-    kinds = [float if kind == "double" else type(value) for kind, value in given]
-    assert [type(value) for value in read] == kinds
+def yaml_of(call: Call, *parameters: tuple[str, str, object, object]) -> str:
+    """The text that the page makes of parameters with name, type, value and default."""
+    keys = ("name", "type", "value", "default")
+    shown = [dict(zip(keys, one, strict=True)) | {"is_shown": True} for one in parameters]
+    return str(call("parameter_values.js", "yamlText", shown))
 
 
 @pytest.mark.long
@@ -79,28 +53,32 @@ def test_values_of_every_type_are_read_as_they_were(call: Call, tmp_path: Path) 
     strings=st.lists(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"))),
     number=st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=False),  # rcl: strings
 )
-def test_strings_and_numbers_are_read_as_they_were(
+@example(strings=["", "yes", "12", 'a "b" \\ c: #d\n\te\u0085f\u2028g\u007f'], number=1e21)
+@example(strings=[], number=1)
+def test_values_of_every_type_are_read_as_they_were(
     call: Call, tmp_path_factory: pytest.TempPathFactory, strings: list[str], number: float
 ) -> None:
-    parameters = parameter("classes", "string_array", strings), parameter("rate", "double", number)
-    read = written(call, tmp_path_factory.mktemp("yaml"), *parameters)
-    assert read.get("classes") == strings
-    assert (type(read["rate"]), read["rate"]) == (float, number)
+    given = {
+        "classes": ("string_array", strings),
+        **{f"string{index}": ("string", text) for index, text in enumerate(strings)},
+        "rate": ("double", number),
+        "count": ("integer", -3),
+        "lazy": ("bool", True),
+    }
+    file = tmp_path_factory.mktemp("yaml") / "copied.yaml"
+    file.write_text(yaml_of(call, *((name, kind, value, None) for name, (kind, value) in given.items())))
+    read = read_parameter_file(file)["/**"]
+    assert read == {name: value for name, (_, value) in given.items()}
+    assert [type(read[name]) for name in ("rate", "count", "lazy")] == [float, int, bool]
 
 
 @pytest.mark.long
-def test_only_what_differs_is_written_and_each_override_of_a_camera(call: Call, tmp_path: Path) -> None:
-    usual = parameter("lazy", "bool", True, True)
-    read = written(
-        call,
-        tmp_path,
-        usual,
-        parameter("max_rate", "double", 5, 0),
-        parameter("front.max_rate", "double", 0, 0),
-        parameter("rear.max_rate", "double", None, 0),
-    )
-    assert read == {"max_rate": 5.0, "front.max_rate": 0.0}
-    assert call("parameter_values.js", "yamlText", [usual]) == "# Every parameter has its default.\n"
+def test_only_what_differs_is_written_and_each_override_of_a_camera(call: Call) -> None:
+    usual = ("lazy", "bool", True, True)
+    overrides = ("front.max_rate", "double", 0, 0), ("rear.max_rate", "double", None, 0)
+    assert yaml_of(call, usual) == "# Every parameter has its default.\n"
+    written = yaml_of(call, usual, ("max_rate", "double", 5, 0), *overrides)
+    assert written == "/**:\n  ros__parameters:\n    max_rate: 5.0\n    front.max_rate: 0.0\n"
 
 
 @pytest.mark.long

@@ -12,12 +12,13 @@ from vision_msgs.msg import LabelInfo, VisionClass
 
 from yolov5_lifecycle.models.class_names import MAX_NAME_LENGTH, class_names_of
 from yolov5_lifecycle.ros.console import views
-from yolov5_lifecycle.ros.console.parameter_view import (
+from yolov5_lifecycle.ros.console.views import (
+    line_of,
     parameter_message,
     parameters_as_json,
     plain_value,
+    statuses_of,
 )
-from yolov5_lifecycle.ros.console.views import line_of, statuses_of
 from yolov5_lifecycle.ros.parameters.declaration import parameter_of
 from yolov5_lifecycle.settings.settings import SETTINGS
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.resources import files
 from mimetypes import guess_type
 
@@ -35,32 +36,29 @@ def page_files() -> dict[str, Response]:
     }
 
 
+@dataclass(eq=False)
 class WebApplication:
     """Serves the files of the page; `page` and `image` serve WebSockets, `figures` gives the metrics' text.
 
     Without `sessions` there is no login.
     """
 
-    def __init__(
-        self,
-        page: Serve,
-        image: Serve,
-        sessions: Sessions | None,
-        figures: Callable[[], bytes],
-        logger: RcutilsLogger,
-    ) -> None:
+    page: Serve
+    image: Serve
+    sessions: Sessions | None
+    figures: Callable[[], bytes]
+    logger: RcutilsLogger
+
+    def __post_init__(self) -> None:
         self._files = page_files()
-        self._sessions = sessions
-        self._figures = figures
-        self._logger = logger
         routes: list[BaseRoute] = [
             Route("/", lambda _: self._files["index.html"]),
             Route("/page/{name}", self._file),
             Route(LOGIN, self._login_page, methods=["GET"]),
             Route(LOGIN, self._login, methods=["POST"]),
             Route(METRICS, self._metrics),
-            WebSocketRoute("/ws", _within_session(page)),
-            WebSocketRoute("/image", _within_session(image)),
+            WebSocketRoute("/ws", _within_session(self.page)),
+            WebSocketRoute("/image", _within_session(self.image)),
         ]
         self._starlette = Starlette(routes=routes)
 
@@ -68,7 +66,7 @@ class WebApplication:
         try:
             await self._starlette(scope, receive, send)
         except Exception as error:
-            self._logger.error(
+            self.logger.error(
                 f"unexpected {type(error).__name__} while answering a request: {error}",
                 throttle_duration_sec=1.0,
             )
@@ -80,19 +78,19 @@ class WebApplication:
         raise HTTPException(404, "page not found")
 
     async def _metrics(self, _: Request) -> Response:
-        return Response(self._figures(), media_type=_FIGURES_TYPE)
+        return Response(self.figures(), media_type=_FIGURES_TYPE)
 
     def _login_page(self, _: Request) -> Response:
-        return RedirectResponse("/", 303) if self._sessions is None else self._files["login.html"]
+        return RedirectResponse("/", 303) if self.sessions is None else self._files["login.html"]
 
     async def _login(self, request: Request) -> Response:
         """Begin a session for the token in the header."""
-        if self._sessions is None or not has_token(self._sessions, request.scope, request.headers):
+        if self.sessions is None or not has_token(self.sessions, request.scope, request.headers):
             raise HTTPException(401, "This is not the token of this console.")
         response = Response(status_code=204)
         response.set_cookie(
             request.state.cookie,
-            self._sessions.begin(),
+            self.sessions.begin(),
             max_age=int(SESSION_S),
             httponly=True,
             samesite="strict",

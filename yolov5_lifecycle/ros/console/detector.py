@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
@@ -17,13 +17,14 @@ from std_srvs.srv import Trigger
 from vision_msgs.msg import LabelInfo
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.parameter_view import parameter_message, parameters_as_json
 from yolov5_lifecycle.ros.console.ros_thread import Mailbox, RosThread
 from yolov5_lifecycle.ros.console.views import (
     LogView,
     StatusView,
     camera_as_json,
     class_names_of,
+    parameter_message,
+    parameters_as_json,
 )
 from yolov5_lifecycle.ros.services import MAX_ITEMS
 from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS, usable_names
@@ -56,6 +57,7 @@ _NO_REASON = "the node gave no reason"
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+@dataclass(eq=False)
 class Detector:
     """The detector called `name`, for the event loop's thread; `on_change(self)` after each change.
 
@@ -65,23 +67,16 @@ class Detector:
     `log`: its lines, also those from before it was known; `publishers`: ids of its publishers of diagnostics.
     """
 
-    def __init__(
-        self,
-        ros: RosThread,
-        name: str,
-        *,
-        on_change: Callable[[Detector], object],
-        log: LogView,
-        publishers: frozenset[bytes],
-    ) -> None:
-        self.name = name
-        self.publishers = publishers
+    ros: RosThread
+    name: str
+    on_change: Callable[[Detector], object]
+    log: LogView
+    publishers: frozenset[bytes]
+
+    def __post_init__(self) -> None:
         self.state = ""
         self.statuses: dict[str, StatusView] = {}
         """The last diagnostics by name."""
-        self.log = log
-        self._ros = ros
-        self._on_change = on_change
         self._clients: dict[str, Any] = {}
         self._labels: Any = None
         self._end: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -93,8 +88,8 @@ class Detector:
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Start querying the node. Raises NameValidationException."""
-        await self._ros.run(self._create)
+        """Start querying the node."""
+        await self.ros.run(self._create)
         self._task = asyncio.create_task(self._keep_up_to_date())
 
     async def close(self) -> None:
@@ -103,21 +98,20 @@ class Detector:
             self._end.set_result(None)
             if self._task is not None:
                 self._task.cancel()
-            await self._ros.run(self._destroy)
+            await self.ros.run(self._destroy)
 
     def _create(self) -> None:
-        node = self._ros.node
+        node = self.ros.node
         for service, kind in SERVICES.items():
             self._clients[service] = node.create_client(kind, f"{self.name}/{service}")
-        labels = Mailbox(self._ros, self._take_labels)
+        labels = Mailbox(self.ros, self._take_labels)
         topic = f"{self.name}/label_info"
         self._labels = node.create_subscription(LabelInfo, topic, labels.put, _LATCHED)
 
     def _destroy(self) -> None:
-        if self._labels is not None:
-            self._ros.node.destroy_subscription(self._labels)
+        self.ros.node.destroy_subscription(self._labels)
         for client in self._clients.values():
-            self._ros.node.destroy_client(client)
+            self.ros.node.destroy_client(client)
 
     @property
     def is_known(self) -> bool:
@@ -130,11 +124,6 @@ class Detector:
         return self._heard_s is not None and time.monotonic() - self._heard_s > _SILENCE_S
 
     @property
-    def camera_names(self) -> tuple[str, ...]:
-        """Names in the parameter `cameras`, without impossible ones."""
-        return usable_names(self._parameters.get("cameras", {}).get("value"))
-
-    @property
     def status(self) -> StatusView | None:
         """The last diagnostics of the node as a whole."""
         return self.statuses.get(NODE_STATUS)
@@ -142,7 +131,8 @@ class Detector:
     @property
     def cameras(self) -> dict[str, StatusView | None]:
         """The last diagnostics of each camera by name; the only camera of a detector without names is ""."""
-        return {name: self.statuses.get(name or NODE_STATUS) for name in self.camera_names or [""]}
+        names = usable_names(self._parameters.get("cameras", {}).get("value"))
+        return {name: self.statuses.get(name or NODE_STATUS) for name in names or [""]}
 
     def as_json(self) -> dict[str, object]:
         """Everything that the page shows of the detector."""
@@ -188,33 +178,34 @@ class Detector:
             # The process ends soon after this transition, possibly before it has sent the response.
             return "" if label == "shutdown" else str(error)
         finally:
-            self._on_change(self)
+            self.on_change(self)
             self.ask_soon()
 
-    async def collect(self) -> tuple[bool, str]:
-        """Have the next image of each camera kept: whether the node agrees, and its answer in words."""
+    async def collect(self) -> tuple[str, str]:
+        """Have the next image of each camera kept; returns the reason for a refusal, or "" and the answer."""
         try:
             answer = await self._call("collect", Trigger.Request())
         except ConnectionError as error:
-            return False, str(error)
-        return bool(answer.success), in_one_line(answer.message, _MAX_WORDS) or _NO_REASON
+            return str(error), ""
+        words = in_one_line(answer.message, _MAX_WORDS) or _NO_REASON
+        return ("", words) if answer.success else (words, "")
 
     async def _call(self, service: str, request: Any, timeout_s: float = _ASK_S) -> Any:
         """The response of the node; raises ConnectionError."""
         if self._end.done():
             raise ConnectionError(f"{self.name} is lost")
-        return await self._ros.call(self._clients[service], request, timeout_s=timeout_s, end=self._end)
+        return await self.ros.call(self._clients[service], request, timeout_s=timeout_s, end=self._end)
 
     def _take_labels(self, message: LabelInfo) -> None:
         self._class_names = class_names_of(message)
-        self._on_change(self)
+        self.on_change(self)
 
     def take_diagnostics(self, statuses: list[StatusView]) -> None:
         self._heard_s = time.monotonic()
         self.statuses = {status.name: status for status in statuses}
         if self.status is not None and self.status.values.get("state", self.state) != self.state:
             self.ask_soon()
-        self._on_change(self)
+        self.on_change(self)
 
     def ask_soon(self) -> None:
         """Query state and parameters: they may have changed."""
@@ -229,7 +220,7 @@ class Detector:
             except ConnectionError:
                 await asyncio.sleep(_RETRY_S)
                 continue
-            self._on_change(self)
+            self.on_change(self)
             await asyncio.sleep(_PACE_S)
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(self._wanted.wait(), _REFRESH_S)

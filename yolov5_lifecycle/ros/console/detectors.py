@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log, ParameterEvent
-from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -34,6 +34,7 @@ _LOG_QOS = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The QoS of nodes' log publishers: late subscribers get the messages of the last seconds."""
 
 
+@dataclass(eq=False)
 class Detectors:
     """Finds detectors and keeps them up to date; `names`: full names of the wanted ones, empty: all.
 
@@ -41,29 +42,23 @@ class Detectors:
     the graph or is silent.
     """
 
-    def __init__(
-        self,
-        ros: RosThread,
-        names: Sequence[str],
-        *,
-        on_change: Callable[[Detector], object],
-        on_gone: Callable[[Detector], object],
-    ) -> None:
-        self._ros = ros
-        self._names = names
-        self._on_change = on_change
-        self._on_gone = on_gone
+    ros: RosThread
+    names: Sequence[str]
+    on_change: Callable[[Detector], object]
+    on_gone: Callable[[Detector], object]
+
+    def __post_init__(self) -> None:
         self._candidates: dict[str, frozenset[bytes]] = {}
         self._followed: dict[str, Detector] = {}
         self._logs: OrderedDict[str, LogView] = OrderedDict()
         """Of nodes that are not followed, by name."""
-        self._diagnostics = Mailbox(ros, self._take_diagnostics, size=_MAX_WAITING)
-        self._lines = Mailbox(ros, self._take_line, size=_MAX_WAITING)
-        self._changed_names = Mailbox(ros, self._take_event, size=_MAX_WAITING)
+        self._diagnostics = Mailbox(self.ros, self._take_diagnostics, size=_MAX_WAITING)
+        self._lines = Mailbox(self.ros, self._take_line, size=_MAX_WAITING)
+        self._changed_names = Mailbox(self.ros, self._take_event, size=_MAX_WAITING)
         self._task: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        await self._ros.run(self._subscribe, self._ros.node)
+        await self.ros.run(self._subscribe, self.ros.node)
         self._task = asyncio.create_task(self._follow())
 
     @property
@@ -77,7 +72,7 @@ class Detectors:
 
     async def _follow(self) -> None:
         while True:
-            self._candidates = await self._ros.run(candidates, self._ros.node, self._names)
+            self._candidates = await self.ros.run(candidates, self.ros.node, self.names)
             await self._update()
             await asyncio.sleep(SCAN_S)
 
@@ -95,31 +90,28 @@ class Detectors:
         for name in waiting[:room]:
             await self._begin(name)
         if waiting[room:]:
-            self._ros.node.get_logger().warning(
+            self.ros.node.get_logger().warning(
                 f"{len(waiting[room:])} further nodes are left out, {waiting[room]} first, as the console "
                 f"shows at most {MAX_DETECTORS}: to see one, start a console with --node and its name",
                 once=True,
             )
 
     async def _begin(self, name: str) -> None:
-        log, publishers = self._logs.pop(name, LogView()), self._candidates[name]
-        detector = Detector(self._ros, name, on_change=self._changed, log=log, publishers=publishers)
+        log = self._logs.pop(name, LogView())
+        detector = Detector(self.ros, name, self._changed, log, self._candidates[name])
         self._followed[name] = detector
-        try:
-            await detector.open()
-        except NameValidationException as error:
-            self._ros.node.get_logger().warning(f"{name} cannot be shown: {error}")
+        await detector.open()
 
     async def _forget(self, detector: Detector) -> None:
         del self._followed[detector.name]
         self._logs[detector.name] = detector.log
         if detector.is_known:
-            self._on_gone(detector)
+            self.on_gone(detector)
         await detector.close()
 
     def _changed(self, detector: Detector) -> None:
         if detector.is_known and self._followed.get(detector.name) is detector:
-            self._on_change(detector)
+            self.on_change(detector)
 
     def _subscribe(self, node: Node) -> None:
         node.create_subscription(DiagnosticArray, "/diagnostics", self._hear_diagnostics, 100)

@@ -14,9 +14,8 @@ from starlette.exceptions import HTTPException
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from yolov5_lifecycle.ros.console.budget import MAX_ADDRESSES, Budget
 from yolov5_lifecycle.ros.console.options import ConsoleOptions
-from yolov5_lifecycle.ros.console.sessions import Sessions
+from yolov5_lifecycle.ros.console.sessions import MAX_ADDRESSES, Budget, Sessions
 
 LOGIN, METRICS = "/login", "/metrics"
 _REQUESTS_PER_S = 100.0
@@ -52,8 +51,6 @@ class Gate:
         self._requests_of = lru_cache(MAX_ADDRESSES)(lambda _: Budget(_REQUESTS_PER_S, _REQUESTS))
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            return
         application = self._application
         try:
             self._check(scope, Headers(scope=scope))

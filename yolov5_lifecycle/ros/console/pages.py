@@ -12,8 +12,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.frames import CloseCode
 
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.console.budget import Budget
 from yolov5_lifecycle.ros.console.detector import Detector
+from yolov5_lifecycle.ros.console.sessions import Budget
 
 MAX_PAGES = 16
 VIEW_ONLY = "this console is for viewing only (--view-only)"
@@ -151,8 +151,7 @@ class _Page:
         elif request["type"] == "transition":
             reason = await detector.change_state(request["label"])
         else:
-            is_done, words = await detector.collect()
-            reason, result = ("", words) if is_done else (words, "")
+            reason, result = await detector.collect()
         await self._answer(request.get("id"), reason, result)
 
     async def _answer(self, request_id: object, reason: str, result: str = "") -> None:

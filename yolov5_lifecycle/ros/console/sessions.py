@@ -1,4 +1,4 @@
-"""The token, the file that stores it, and the sessions of browsers that have sent it."""
+"""The token, the file that stores it, the sessions of browsers that have sent it, and how often they may."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from tempfile import NamedTemporaryFile
 from starlette.exceptions import HTTPException
 
 from yolov5_lifecycle.input_file import read_regular_file
-from yolov5_lifecycle.ros.console.budget import MAX_ADDRESSES, Budget
 
 SESSION_S = 12 * 3600.0
 _MAX_SESSIONS = 200
@@ -26,6 +25,29 @@ MIN_TOKEN_LENGTH = 32
 _MAX_FILE_BYTES = 4096
 _TRIES_PER_S = 5 / 60
 _TRIES = 5
+MAX_ADDRESSES = 1_000
+"""Those used recently, each of which has a budget."""
+
+
+class Budget:
+    """At most `burst` at once and `rate_hz` in the long run."""
+
+    def __init__(self, rate_hz: float, burst: float, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate_hz = rate_hz
+        self._burst = burst
+        self._clock = clock
+        self._left = burst
+        self._since_s = clock()
+
+    def spend(self) -> bool:
+        """Whether it may happen now; if so, it counts."""
+        now_s = self._clock()
+        self._left = min(self._burst, self._left + (now_s - self._since_s) * self._rate_hz)
+        self._since_s = now_s
+        if self._left < 1:
+            return False
+        self._left -= 1
+        return True
 
 
 class Sessions:
