@@ -6,27 +6,23 @@ import ctypes
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 _STATISTICS = Path("/proc/self/statm")  # in pages: the address space, then the resident set
 _MACHINE = Path("/proc/meminfo")  # in KiB
 _MIB = 1 << 20
+_LIBC = ctypes.CDLL(None)
 _TRIM_THRESHOLD = (-1, 256 * _MIB)
 _MMAP_THRESHOLD = (-3, 32 * _MIB)  # the maximum accepted by glibc; a 4K image has 24 MiB
 _ARENA_MAX = (-8, 1)
 
 
-def resident_mb() -> float | None:
-    """Resident memory of this process in units of 2**20 bytes; None without /proc, as on macOS."""
-    try:
-        pages = int(_STATISTICS.read_text().split()[1])
-    except OSError:
-        return None
-    return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
+def resident_mb() -> float:
+    """Resident memory of this process in units of 2**20 bytes."""
+    return int(_STATISTICS.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / _MIB
 
 
 def available_bytes(path: Path = _MACHINE) -> int | None:
-    """Memory of the machine that is available without swapping; None without `path`, as on macOS."""
+    """Memory of the machine that is available without swapping; None without `path`."""
     try:
         lines = path.read_text().splitlines()
     except OSError:
@@ -39,17 +35,15 @@ def prepare_heap() -> None:
 
     All threads share one arena: malloc_trim does not trim the top of other arenas, up to 64 MB each. Freed
     memory is kept until `trim_heap`: otherwise most of it is returned to the system after every image and
-    mapped again page by page, which costs 2 ms for the copies of a 1280x720 image. No-op without glibc.
+    mapped again page by page, which costs 2 ms for the copies of a 1280x720 image.
     """
-    if (mallopt := _libc_function("mallopt")) is not None:
-        for option, value in (_ARENA_MAX, _MMAP_THRESHOLD, _TRIM_THRESHOLD):
-            mallopt(option, value)
+    for option, value in (_ARENA_MAX, _MMAP_THRESHOLD, _TRIM_THRESHOLD):
+        _LIBC.mallopt(option, value)
 
 
 def trim_heap() -> None:
     """Return free heap memory to the operating system."""
-    if (trim := _libc_function("malloc_trim")) is not None:
-        trim(0)
+    _LIBC.malloc_trim(0)
 
 
 def release_unused_memory() -> None:
@@ -61,8 +55,3 @@ def release_unused_memory() -> None:
     if torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized():
         torch.cuda.empty_cache()
     trim_heap()
-
-
-def _libc_function(name: str) -> Any:
-    """A function of the C library; None if the library lacks it, as musl does."""
-    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
