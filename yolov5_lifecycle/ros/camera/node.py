@@ -21,8 +21,7 @@ from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.start_arguments import explain, initialize, refuse, start_arguments
 from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.sources.frames import ImageSource, SourceFrame
-from yolov5_lifecycle.sources.playback import Playback
+from yolov5_lifecycle.sources.frames import ImageSource, Playback, SourceFrame
 from yolov5_lifecycle.sources.source import open_source
 
 _DELIVERY_S = 1.0
