@@ -21,7 +21,6 @@ _IMPORTED = ("annotated_types", "cv2", "numpy", "pydantic", "pydantic_core", "sa
 _ONCE = ("cv2", "numpy", "onnx", "onnxruntime", "openvino", "pydantic", "rclpy", "scipy", "torch", "yaml")
 """Of which a second copy leads to errors that name neither."""
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\s*\(?>=\s*([\d.]+))?")
-_OPENCV = re.compile(r"opencv[-_](?:contrib[-_])?python(?:[-_]headless)?")
 
 
 def _required(_: Machine) -> Iterator[Finding]:
@@ -60,8 +59,10 @@ def _numbers(text: str) -> tuple[int, ...]:
 def _duplicates(_: Machine) -> Iterator[Finding]:
     doubled = {module: places for module in _ONCE if len(places := _copies(module)) > 1}
     for module, (used, *hidden) in doubled.items():
-        opencvs = _opencvs_in(used) if module == "cv2" else []
-        package = next(iter(opencvs), PIP_PACKAGES.get(module, module))
+        package = PIP_PACKAGES.get(module, module)
+        if module == "cv2":  # which several packages of pip have
+            names = (str(each.name) for each in distributions(path=[used]))
+            package = next((name for name in names if name.startswith("opencv")), package)
         uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", package)
         is_given = used in os.environ.get("PYTHONPATH", "").split(os.pathsep)
         what_to_do = f"Remove {used} from PYTHONPATH" if is_given else f"Uninstall one, such as `{uninstall}`"
@@ -83,21 +84,5 @@ def _copies(module: str) -> list[str]:
     return list(dict.fromkeys(places.values()))
 
 
-def _opencv(_: Machine) -> Iterator[Finding]:
-    for entry in dict.fromkeys(filter(None, sys.path)):
-        if len(names := _opencvs_in(entry)) > 1:
-            uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", *names)
-            yield warning(
-                f"{' and '.join(names)} are in the same folder cv2 of {entry}",
-                remedy=f"Uninstall both with `{uninstall}`, then install opencv-python-headless.",
-            )
-
-
-def _opencvs_in(folder: str) -> list[str]:
-    """The packages of pip with OpenCV in `folder`."""
-    named = {each.metadata["Name"] for each in distributions(path=[folder])}
-    return sorted(name for name in named if name and _OPENCV.fullmatch(name))
-
-
 # Those that import packages come last: a broken one may end the process.
-CHECKS: Groups = {"packages": {"duplicates": _duplicates, "OpenCV": _opencv, "packages": _required}}
+CHECKS: Groups = {"packages": {"duplicates": _duplicates, "packages": _required}}

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
-from yolov5_lifecycle.process.control_group import cores, memory_bytes
 from yolov5_lifecycle.process.environment import compute_threads
-from yolov5_lifecycle.process.memory import available_bytes
+from yolov5_lifecycle.process.memory import available_bytes, cores, memory_bytes
 from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, write_cache
 from yolov5_lifecycle.runtimes.processor_abilities import abilities
 
@@ -67,7 +66,7 @@ def _processor(machine: Machine) -> Iterator[Finding]:
 
 def _memory(machine: Machine) -> Iterator[Finding]:
     limits = {
-        "is available": available_bytes(machine.path("/proc/meminfo")),
+        "is available": available_bytes(machine.text),
         "is the limit of the control group": memory_bytes(machine.text),
     }
     known = {name: value for name, value in limits.items() if value is not None}

@@ -24,7 +24,7 @@ PROFILE = "package://yolov5_lifecycle/config/shm.xml"
 _DISTRIBUTIONS = {"7": "jazzy", "9": "kilted"}
 """By the first number of rclpy's version."""
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
-_LAST_DOMAIN, _LAST_FREE_DOMAIN = 232, 101
+_LAST_DOMAIN = 232
 
 
 def _distribution(_: Machine) -> Iterator[Finding]:
@@ -92,13 +92,10 @@ def _discovery(_: Machine) -> Iterator[Finding]:
 
 def _discovery_problems(domain: str, reach: str) -> Iterator[Finding]:
     number = int(domain) if domain.isdecimal() and len(domain) < 9 else -1
-    remedy = f"`export ROS_DOMAIN_ID=` a number from 0 to {_LAST_FREE_DOMAIN}, the same for all nodes."
     if not 0 <= number <= _LAST_DOMAIN:
-        yield error(f"ROS_DOMAIN_ID is {domain}: no node can start", remedy=remedy)
-    elif number > _LAST_FREE_DOMAIN:
-        yield warning(
-            f"ROS_DOMAIN_ID is {number}: Linux may give the ports of this domain to other programs",
-            remedy=remedy,
+        yield error(
+            f"ROS_DOMAIN_ID is {domain}: no node can start",
+            remedy="`export ROS_DOMAIN_ID=` a number from 0 to 101, the same for all nodes.",
         )
     if reach not in _RANGES:
         yield error(
