@@ -8,6 +8,7 @@ import pytest
 
 from yolov5_lifecycle import folder_listing
 from yolov5_lifecycle.folder_listing import FolderTree, entries
+from yolov5_lifecycle.offline.recordings import is_recording
 from yolov5_lifecycle.sources.frames import SourceError
 from yolov5_lifecycle.sources.source import image_paths
 
@@ -19,10 +20,10 @@ def low_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folder_listing, "MAX_ENTRIES", LIMIT)
 
 
-def filled(folder: Path, count: int) -> Path:
+def filled(folder: Path, count: int, suffix: str = ".jpg") -> Path:
     folder.mkdir(exist_ok=True)
     for number in range(count):
-        (folder / f"{number}.jpg").touch()
+        (folder / f"{number}{suffix}").touch()
     return folder
 
 
@@ -57,3 +58,8 @@ def test_links_to_folders_are_not_followed(tmp_path: Path) -> None:
 def test_a_folder_of_too_many_images_is_no_source(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="expected at most 5 files"):
         image_paths(filled(tmp_path, LIMIT + 1))
+
+
+def test_a_folder_of_too_many_files_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="found more"):
+        is_recording(filled(tmp_path, LIMIT + 1))

@@ -72,17 +72,20 @@ Groups = dict[str, dict[str, Check]]
 _GENERIC = re.compile("root|ubuntu|debian|ros|user|admin|pi|jetson|localhost|docker|nobody", re.IGNORECASE)
 _IDENTIFIERS = (
     (re.compile(r"(/home/|/Users/)[^/\s:'\"]+"), r"\1(user)"),
+    (re.compile(r"\b(?:[0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2}\b"), "(address)"),
     (
         re.compile(
             r"(?<![\d.])(?:(?:10|127)\.\d{1,3}|192\.168|172\.(?:1[6-9]|2\d|3[01]))(?:\.\d{1,3}){2}(?![\d]|\.\d)"
         ),
         "(address)",
     ),
+    (re.compile(r"\b(?:GPU|MIG)-[0-9a-fA-F-]{32,36}"), "(serial)"),
+    (re.compile(r"/dev/(?:v4l|serial)/by-id/\S+"), "/dev/(serial)"),
 )
 
 
 def without_private_names(text: str) -> str:
-    """`text` with ~ for the home folder, and without this user and host, and addresses of private networks.
+    """`text` with ~ for the home folder, and without this user and host, addresses and serial numbers.
 
     Names of fewer than two letters, and those that many machines have in common, such as `ubuntu`, are kept.
     """

@@ -44,11 +44,14 @@ class CameraInfoValues(BaseModel):
 
     @model_validator(mode="after")
     def _is_of_a_calibrated_camera(self) -> CameraInfoValues:
+        problems = []
         for name, counts in (*_NUMBERS, ("distortion_coefficients", _COEFFICIENTS[self.distortion_model])):
             if (found := len(getattr(self, name).data)) not in counts:
-                raise ValueError(f"{name}: expected {' or '.join(map(str, counts))} numbers, found {found}")
-        if min(self.camera_matrix.data[0], self.camera_matrix.data[4]) <= 0:
-            raise ValueError("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
+                problems.append(f"{name}: expected {' or '.join(map(str, counts))} numbers, found {found}")
+        if min(self.camera_matrix.data[:5:4], default=0.0) <= 0:
+            problems.append("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
+        if problems:
+            raise ValueError("; ".join(problems))
         return self
 
     @property

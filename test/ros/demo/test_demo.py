@@ -73,7 +73,7 @@ def frame(
     ("words", "image", "size_hw"),
     [
         pytest.param([], "annotated.png", (480, 640), id="one camera"),
-        pytest.param(["--cameras"], "cameras.png", (360, 888), id="two cameras"),
+        pytest.param(["--cameras"], "cameras.png", (388, 888), id="two cameras"),
     ],
 )
 def test_the_demo_passes_and_leaves_its_image(
@@ -172,12 +172,15 @@ def test_the_figures_show_what_is_wrong(changed: tuple[Any, ...], expected: tupl
     assert figures([frame(), changed]) == pytest.approx(expected)
 
 
-def test_the_image_shows_both_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_image_shows_both_images_below_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     high, low = np.full((60, 30, 3), (10, 20, 200), np.uint8), np.full((40, 20, 3), (250, 20, 10), np.uint8)
-    both = side_by_side([high, low])
-    assert both.shape == (60, 58, 3)
-    assert (both[:, :30] == high).all()
-    assert (both[:40, 38:] == low).all()
+    both = side_by_side({"front": high, "rear": low})
+    assert both.shape == (88, 58, 3)
+    assert (both[28:, :30] == high).all()
+    assert (both[28:68, 38:] == low).all()
+    assert (both[:28, :30] < 255).any()
     with pytest.raises(OSError, match="cannot be written"):
         saved(both, "both.png")

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
@@ -31,7 +32,8 @@ TWO_CAMERAS: Commands = {
 _FOUND, _TRUTH = f"{DETECTOR}/detections", "/camera/truth"
 _MASKS, _TRUE_MASKS = f"{DETECTOR}/masks", "/camera/ground_truth_masks"
 _NOWHERE = np.full(3, np.inf)
-_GAP_PX = 8
+_TITLE_PX, _GAP_PX = 28, 8
+_PAPER, _INK = (255, 255, 255), (40, 40, 40)
 
 
 def one_camera(stage: Stage) -> str:
@@ -130,10 +132,10 @@ def two_cameras(stage: Stage) -> str:
     stage.check(recall >= 0.9, f"{recall:.1%} of the shapes found", "at least 90 %")
     stage.check(switches == 0, f"{switches} identity switches", "none")
     stage.check(error <= 0.02, f"median error in space {error:.2%}", "at most 2 %")
-    images = [
-        stage.annotated_image(f"{DETECTOR}/{name}/image", places)
+    images = {
+        name: stage.annotated_image(f"{DETECTOR}/{name}/image", places)
         for name, (_, _, _, places) in records.items()
-    ]
+    }
     path = saved(side_by_side(images), "cameras.png")
     stage.transition("deactivate")
     stage.transition("cleanup")
@@ -169,13 +171,15 @@ def _centres_by_id(message: Detection3DArray) -> dict[str, NDArray[np.float64]]:
     return {name: np.array((centre.x, centre.y, centre.z)) for name, centre in centres.items()}
 
 
-def side_by_side(images_bgr: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """The images (H, W, 3) from left to right, on white."""
-    height = max(map(len, images_bgr))
-    edges = [((0, height - len(pixels)), (0, _GAP_PX), (0, 0)) for pixels in images_bgr]
-    columns = [
-        np.pad(pixels, edge, constant_values=255) for pixels, edge in zip(images_bgr, edges, strict=True)
-    ]
+def side_by_side(images_bgr: Mapping[str, NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """The images (H, W, 3) side by side, each below its name, on white."""
+    height = max(len(pixels) for pixels in images_bgr.values())
+    columns = []
+    for name, pixels in images_bgr.items():
+        edges = (_TITLE_PX, height - len(pixels), 0, _GAP_PX)
+        column = cv2.copyMakeBorder(pixels, *edges, cv2.BORDER_CONSTANT, value=_PAPER)
+        cv2.putText(column, name, (2, _TITLE_PX - 9), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _INK, 1, cv2.LINE_AA)
+        columns.append(column)
     return np.hstack(columns)[:, :-_GAP_PX]
 
 
