@@ -78,12 +78,6 @@ def test_what_is_wrong_with_a_machine_is_found(
     assert remedy in finding.remedy
 
 
-def test_the_cache_is_left_as_it_was(tmp_path: Path) -> None:
-    rows = doctor("--only", "system", environment={"XDG_CACHE_HOME": str(tmp_path)})
-    assert without_private_names(f"{tmp_path}/yolov5_lifecycle/choices can be") in of(rows, "cache").found
-    assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
-
-
 def test_a_second_numpy_on_the_path_is_found(tmp_path: Path) -> None:
     planted(tmp_path, {"numpy/__init__.py": "__version__ = '1.21.0'\n"})
     rows = doctor("--only", "packages", environment=first_on_path(tmp_path))

@@ -1,10 +1,9 @@
-"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory, log."""
+"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory."""
 
 from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.metadata import version
@@ -132,29 +131,11 @@ def _shared_memory(machine: Machine) -> Iterator[Finding]:
     yield ok(f"{free_bytes(folder) >> 20} MiB free in /dev/shm")
 
 
-def _log(_: Machine) -> Iterator[Finding]:
-    home = os.environ.get("ROS_HOME") or "~/.ros"
-    try:
-        if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # ROS asks no one else for it
-            raise OSError("HOME is not set")
-        folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            yield ok(f"{folder} can be written")
-    except (OSError, RuntimeError) as problem:
-        yield error(
-            f"the folder of ROS's log cannot be written: {problem}",
-            remedy="Give this user the right to write it, set HOME, or set ROS_LOG_DIR to another folder: "
-            "without a log, no node starts.",
-        )
-
-
 CHECKS: Groups = {
     "ros": {
         "middleware": _middleware,
         "discovery": _discovery,
         "shared memory": _shared_memory,
-        "log": _log,
         "ROS": _distribution,  # last: with a wrong middleware, importing rclpy ends the process
     }
 }
