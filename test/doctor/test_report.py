@@ -98,13 +98,6 @@ def ends(process_id: int) -> bool:
     return bool(ready)
 
 
-def test_checks_that_cannot_be_imported_are_one_line() -> None:
-    examination = Examination("planted", "no_such_package", ENDLESS_S, "do this")
-    (line,) = examine(examination, root=Path("/"), patience_s=ENDLESS_S)
-    assert (line.subject, line.level) == ("planted", "error")
-    assert "No module named 'no_such_package'" in line.found
-
-
 def test_modules_of_the_current_folder_are_not_imported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,6 +44,7 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
             "438.78", ".nan", "camera_matrix.data.0: Input should be a finite number", id="no number"
         ),
         pytest.param("438.78", "0", "expected focal lengths above 0", id="not calibrated"),
+        pytest.param("437.34", "0", "expected focal lengths above 0", id="not calibrated in y"),
         pytest.param(
             "plumb_bob",
             "equidistant",
