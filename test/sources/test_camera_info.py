@@ -32,10 +32,12 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
     ("old", "new", "told"),
     [
         pytest.param(
-            ", 1]",
-            "]",
-            "camera_matrix: expected 9 numbers, found 8; rectification_matrix: expected 9 numbers, found 8",
-            id="8 twice",
+            "[",
+            "[1, ",
+            "camera_matrix: expected 9 numbers, found 10; rectification_matrix: expected 9 numbers, found 10; "
+            "projection_matrix: expected 12 numbers, found 13; "
+            "distortion_coefficients: expected 4 or 5 numbers, found 6",
+            id="one number more everywhere",
         ),
         pytest.param(
             "plumb_bob", "fisheye", "'plumb_bob', 'rational_polynomial' or 'equidistant'", id="model"
