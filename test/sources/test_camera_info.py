@@ -34,7 +34,8 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
         pytest.param(
             "[",
             "[1, ",
-            "camera_matrix: expected 9 numbers, found 10; rectification_matrix: expected 9 numbers, found 10; "
+            "camera_matrix: expected 9 numbers, found 10; "
+            "rectification_matrix: expected 9 numbers, found 10; "
             "projection_matrix: expected 12 numbers, found 13; "
             "distortion_coefficients: expected 4 or 5 numbers, found 6",
             id="one number more everywhere",
