@@ -12,7 +12,7 @@ from yolov5_lifecycle.printable import in_lines, in_one_line, without_secrets
 from yolov5_lifecycle.process.standard_streams import complain
 from yolov5_lifecycle.settings.value_text import shown_value
 from yolov5_lifecycle.sources.frames import SourceError
-from yolov5_lifecycle.sources.network_stream import open_capture, open_stream
+from yolov5_lifecycle.sources.network_stream import open_capture
 from yolov5_lifecycle.sources.source import open_source
 
 FFMPEG = pytest.mark.skipif(
@@ -93,24 +93,6 @@ def test_what_opencv_prints_has_no_secrets(
     open_capture("rtsp://a:secret@h/x")
     os.write(2, b"end")
     assert capfd.readouterr().err == "no rtsp://***@h/x\nnor \ufffd rtsp://***@h/x\nend"
-
-
-class Refused:
-    """A capture that is not opened."""
-
-    def isOpened(self) -> bool:  # noqa: N802 - OpenCV's name
-        return False
-
-    def release(self) -> None:
-        pass
-
-
-@pytest.mark.parametrize("source", ["rtsp://a:1/2@h/x", "rtsp://a:1#2@h/x", "rtsp://a:b c@h/x"])
-def test_a_password_that_is_not_encoded_gets_a_hint(source: str) -> None:
-    connect: Any = lambda _: Refused()  # noqa: E731
-    with pytest.raises(SourceError, match="Percent-encode") as error:
-        open_stream(source, reconnects=False, report=print, connect=connect)
-    assert "2@" not in in_lines(str(error.value))
 
 
 @pytest.mark.parametrize("source", ["rtsp://a:b/c@h/x", "rtsp://a:b#c@h/x", "rtsp://a:b c@h/x"])

@@ -26,14 +26,6 @@ from yolov5_lifecycle.atomic_file import (
     write_together,
 )
 
-OWNER = """
-import sys
-from yolov5_lifecycle.atomic_file import temporary_folder
-with temporary_folder() as folder:
-    (folder / "optimized.onnx").write_bytes(bytes(1000))
-    print(folder, flush=True)
-    sys.stdin.read()
-"""
 WRITER = """
 import sys
 from pathlib import Path
@@ -61,29 +53,17 @@ def abandoned(folder: Path, name: str) -> Path:
 
 
 @contextmanager
-def holding(program: str, folder: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
-    """The program, and what it holds in `folder` until its standard input ends."""
+def holding(folder: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
+    """A process, and what it writes into `folder` until its standard input ends."""
     with started(
-        [sys.executable, "-c", program, folder],
+        [sys.executable, "-c", WRITER, folder],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ | {"TMPDIR": str(folder), "PYTHONPATH": str(REPOSITORY)},
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
     ) as owner:
         assert owner.stdout is not None
         yield owner, Path(owner.stdout.readline().strip())
-
-
-def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_not(folder: Path) -> None:
-    with holding(OWNER, folder) as (owner, held):
-        remove_abandoned_folders()
-        assert [path.name for path in held.iterdir()] == ["optimized.onnx"]
-        owner.send_signal(signal.SIGKILL)
-        owner.wait()
-        assert held.exists()
-        remove_abandoned_folders()
-        assert not held.exists()
-    assert list(folder.iterdir()) == []
 
 
 def test_the_output_of_a_killed_process_is_removed_by_the_next_and_that_of_a_living_one_is_not(
@@ -91,7 +71,7 @@ def test_the_output_of_a_killed_process_is_removed_by_the_next_and_that_of_a_liv
 ) -> None:
     users_own = folder / ".unfinished-novel" / "chapters"
     users_own.mkdir(parents=True)
-    with holding(WRITER, folder) as (owner, unfinished):
+    with holding(folder) as (owner, unfinished):
         with whole_output(folder / "first") as path:
             path.touch()
         assert (unfinished / "images" / "0.png").exists()

@@ -7,7 +7,6 @@ import sys
 import sysconfig
 import venv
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,12 +78,6 @@ def test_what_is_wrong_with_a_machine_is_found(
     assert remedy in finding.remedy
 
 
-def test_the_cache_is_left_as_it_was(tmp_path: Path) -> None:
-    rows = doctor("--only", "system", environment={"XDG_CACHE_HOME": str(tmp_path)})
-    assert without_private_names(f"{tmp_path}/yolov5_lifecycle/choices can be") in of(rows, "cache").found
-    assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
-
-
 def test_a_second_numpy_on_the_path_is_found(tmp_path: Path) -> None:
     planted(tmp_path, {"numpy/__init__.py": "__version__ = '1.21.0'\n"})
     rows = doctor("--only", "packages", environment=first_on_path(tmp_path))
@@ -114,9 +107,8 @@ def test_a_package_that_fails_when_imported_is_one_line(tmp_path: Path, program:
 def test_pips_opencv_in_front_of_apts_is_found(tmp_path: Path) -> None:
     venv.create(tmp_path, with_pip=False, symlinks=True)
     first = Path(sysconfig.get_path("purelib", vars={"base": str(tmp_path)}))
-    for name in ("opencv_python", "opencv_contrib_python"):
-        metadata = f"Metadata-Version: 2.1\nName: {name.replace('_', '-')}\nVersion: 4.9.0\n"
-        planted(first, {f"{name}-4.9.0.dist-info/METADATA": metadata})
+    metadata = "Metadata-Version: 2.1\nName: opencv-contrib-python\nVersion: 4.9.0\n"
+    planted(first, {"opencv_contrib_python-4.9.0.dist-info/METADATA": metadata})
     planted(first, {"cv2/__init__.py": "__version__ = '4.9.0'\n"})
     apts = Path(sysconfig.get_path("purelib"))
     (first / "apt.pth").write_text("\n".join([str(apts), *filter(None, sys.path)]))
@@ -124,9 +116,6 @@ def test_pips_opencv_in_front_of_apts_is_found(tmp_path: Path) -> None:
     row = of(rows, "duplicates")
     assert row.found == without_private_names(f"cv2 is loaded from {first} and hides {apts}")
     assert "-m pip uninstall opencv-contrib-python" in row.remedy
-    row = of(rows, "OpenCV")
-    assert row.found.startswith("opencv-contrib-python and opencv-python are in the same folder cv2")
-    assert "then install opencv-python-headless" in row.remedy
 
 
 @pytest.mark.long
@@ -196,24 +185,11 @@ def test_two_results_are_compared(found: list[Row], problem: str) -> None:
     assert bool(told) == bool(problem)
 
 
-def test_the_network_finds_every_shape_of_the_image() -> None:
-    first, *_ = inference.CHECKS["devices"]["forward"](Machine())
-    assert first.found.startswith("cpu fp32: all 6 shapes found, ")
-
-
 Fault = Callable[[Detections], Detections]
 
 
 def right(detected: Detections) -> Detections:
     return detected
-
-
-def low_scores(detected: Detections) -> Detections:
-    return replace(detected, scores=detected.scores - np.float32(0.2))
-
-
-def shifted(detected: Detections) -> Detections:
-    return replace(detected, boxes_xyxy=detected.boxes_xyxy + np.float32(10))
 
 
 def lacking(detected: Detections) -> Detections:
@@ -222,7 +198,7 @@ def lacking(detected: Detections) -> Detections:
 
 @pytest.mark.parametrize(
     ("fault", "level"),
-    [(right, "ok"), (low_scores, "error"), (shifted, "error"), (lacking, "error")],
+    [(right, "ok"), (lacking, "error")],
 )
 @pytest.mark.parametrize(
     ("group", "check", "remedy"),

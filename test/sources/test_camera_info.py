@@ -22,7 +22,6 @@ def path(tmp_path: Path) -> Path:
 def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
     known = read_camera_info(path.as_uri() if quoted else f"file://{path}")
     assert known.size_hw == (480, 640)
-    assert known.camera_name == "narrow_stereo"
     assert list(known.camera_matrix.data) == [438.78, 0, 305.59, 0, 437.34, 243.74, 0, 0, 1]
     assert list(known.distortion_coefficients.data) == [-0.3615, 0.1661, 4.8e-05, 1e-05, 0]
     assert known.projection_matrix.data[5] == 393.66
@@ -33,19 +32,27 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
     ("old", "new", "told"),
     [
         pytest.param(
-            "0, 0, 1]\ndist", "0, 0]\ndist", "camera_matrix.data: Tuple should have at least 9 items", id="8"
+            "[",
+            "[1, ",
+            "camera_matrix: expected 9 numbers, found 10; "
+            "rectification_matrix: expected 9 numbers, found 10; "
+            "projection_matrix: expected 12 numbers, found 13; "
+            "distortion_coefficients: expected 4 or 5 numbers, found 6",
+            id="one number more everywhere",
         ),
         pytest.param(
             "plumb_bob", "fisheye", "'plumb_bob', 'rational_polynomial' or 'equidistant'", id="model"
         ),
-        pytest.param("rows: 3", "rows: 9", "camera_matrix.rows: Input should be 3", id="rows"),
-        pytest.param("cols: 4", "cols: 3", "projection_matrix.cols: Input should be 4", id="columns"),
         pytest.param(
             "438.78", ".nan", "camera_matrix.data.0: Input should be a finite number", id="no number"
         ),
         pytest.param("438.78", "0", "expected focal lengths above 0", id="not calibrated"),
+        pytest.param("437.34", "0", "expected focal lengths above 0", id="not calibrated in y"),
         pytest.param(
-            "plumb_bob", "equidistant", "expected 4 for equidistant, found 5", id="number of coefficients"
+            "plumb_bob",
+            "equidistant",
+            "distortion_coefficients: expected 4 numbers, found 5",
+            id="number of coefficients",
         ),
         pytest.param(FILE, "", "found no names and values", id="empty"),
         pytest.param(FILE, " " * MAX_FILE_BYTES + FILE, f"more than {MAX_FILE_BYTES} bytes", id="too large"),
@@ -53,7 +60,7 @@ def test_a_file_of_camera_calibration_is_read(path: Path, quoted: bool) -> None:
 )
 def test_wrong_values_are_refused_with_the_reason(path: Path, old: str, new: str, told: str) -> None:
     assert old in FILE
-    path.write_text(FILE.replace(old, new, 1))
+    path.write_text(FILE.replace(old, new))
     with pytest.raises(ValueError, match=re.escape(f"{path}: ") + f".*{re.escape(told)}") as raised:
         read_camera_info(f"file://{path}")
     assert str(raised.value).isprintable()

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.sources.frames import ImageSource, SourceError, SourceFrame
-from yolov5_lifecycle.sources.playback import Playback
+from yolov5_lifecycle.sources.frames import ImageSource, Playback, SourceError, SourceFrame
 
 PATIENCE_S = 60.0
 

@@ -94,17 +94,11 @@ def test_a_sparse_file_among_the_images_is_not_read(folder: Path) -> None:
     assert "found more than 536870912 bytes, the limit" in reports[0]
 
 
-def test_a_video_whose_path_is_not_utf8_is_refused(video: Path) -> None:
-    odd = video.rename(video.with_name("\udcff.avi"))
-    with pytest.raises(
-        SourceError, match=r"/\?\.avi: the path or address of a source must be UTF-8; rename it"
-    ):
-        open_source(str(odd))
-
-
-@pytest.mark.parametrize("source", ["rtsp://camera/\udcff", "filesrc location=\udcff ! appsink"])
-def test_a_stream_whose_address_is_not_utf8_is_refused(source: str) -> None:
-    with pytest.raises(SourceError, match="must be UTF-8"):
+@pytest.mark.parametrize(
+    "source", ["/\udcff.avi", "rtsp://camera/\udcff", "filesrc location=\udcff ! appsink"]
+)
+def test_a_path_or_address_that_is_not_utf8_is_refused(source: str) -> None:
+    with pytest.raises(SourceError, match="the path or address of a source must be UTF-8; rename it"):
         open_source(source)
 
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import torch
 
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.process.control_group import cores
-from yolov5_lifecycle.process.memory import resident_mb
+from yolov5_lifecycle.process.memory import cores, resident_mb
 from yolov5_lifecycle.runtimes.speed import measure_lanes_ms
 
 _HARDLY_SLOWER = 1.05

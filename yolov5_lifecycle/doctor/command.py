@@ -70,7 +70,7 @@ _RUNTIME = (
 _CAMERA = "Plug the camera in again, at another port or without a hub, because it is open but sends nothing."
 _EXAMINATIONS = (
     Examination("system", "yolov5_lifecycle.doctor.system", 10, _REPORT),
-    Examination("packages", "yolov5_lifecycle.doctor.python_packages", 30, _REPORT),
+    Examination("packages", "yolov5_lifecycle.doctor.system", 30, _REPORT),
     Examination("ros", "yolov5_lifecycle.ros.doctor.environment", 20, f"{_FIRST} {_REPORT}"),
     Examination("driver", "yolov5_lifecycle.doctor.system", 10, _DRIVER),
     Examination("devices", "yolov5_lifecycle.doctor.inference", 40, f"{_DEVICES} {_REPORT}"),

@@ -1,4 +1,4 @@
-"""The machine: system, Python, processor, memory, limits, folder of the cache, NVIDIA's driver, cameras."""
+"""The machine: system, Python and its packages, processor, memory, limits, NVIDIA's driver, cameras."""
 
 from __future__ import annotations
 
@@ -6,28 +6,37 @@ import math
 import os
 import platform
 import re
-import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from importlib import import_module
+from importlib.machinery import PathFinder
+from importlib.metadata import distributions, requires, version
+from pathlib import Path
 
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
-from yolov5_lifecycle.process.control_group import cores, memory_bytes
+from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.process.environment import compute_threads
-from yolov5_lifecycle.process.memory import available_bytes
-from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, write_cache
+from yolov5_lifecycle.process.memory import available_bytes, cores, memory_bytes
+from yolov5_lifecycle.process.missing_package import PIP_PACKAGES
 from yolov5_lifecycle.runtimes.processor_abilities import abilities
 
 _GIB = 1 << 30
 OLDEST_PYTHON, NEWEST_PYTHON = (3, 10), (3, 13)
 """What has been tried; setup.py and requirements/check_machine.py have the same, as a test compares."""
 _NEEDED_MEMORY, _ENOUGH_MEMORY = _GIB // 2, 2 * _GIB
-_FREE_DISK = _GIB  # the most that compiled models may take
 KERNEL_MODULE = "/proc/driver/nvidia/version"
 _VENDOR, _DISPLAY = "0x10de", "0x03"  # of PCI devices
 _LIBRARY_FOLDERS = (
     *("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/local/nvidia/lib64"),
 )
+
+_MODULES = {package: module for module, package in PIP_PACKAGES.items()}
+_IMPORTED = ("annotated_types", "cv2", "numpy", "pydantic", "pydantic_core", "safetensors", "yaml")
+"""Always needed and quickly imported; torch and the runtimes are imported in processes of their own."""
+_ONCE = ("cv2", "numpy", "onnx", "onnxruntime", "openvino", "pydantic", "rclpy", "scipy", "torch", "yaml")
+"""Of which a second copy leads to errors that name neither."""
+_REQUIREMENT = re.compile(r"([\w.-]+)(?:\s*\(?>=\s*([\d.]+))?")
 
 
 def _system(machine: Machine) -> Iterator[Finding]:
@@ -50,6 +59,67 @@ def _python(_: Machine) -> Iterator[Finding]:
         yield warning(found, remedy=f"Install {tried}, and this package into it: nobody has tried another.")
 
 
+def _required(_: Machine) -> Iterator[Finding]:
+    """Raises what the import of a missing or broken package raises."""
+    present = [f"yolov5_lifecycle {version('yolov5_lifecycle')}"]
+    for package, oldest, is_optional in dict.fromkeys(_requirements()):
+        module = _MODULES.get(package, package)
+        try:
+            loaded = import_module(module) if module in _IMPORTED else None
+            found = getattr(loaded, "__version__", None) or version(package)
+        except ModuleNotFoundError:
+            if is_optional:
+                continue
+            raise
+        present.append(f"{package} {found}")
+        if _numbers(found) < _numbers(oldest):
+            yield error(
+                f"{package} {found}, expected {oldest} or newer",
+                remedy=f'{sys.executable} -m pip install "{package}>={oldest}"',
+            )
+    yield ok(", ".join(present))
+
+
+def _requirements() -> Iterator[tuple[str, str, bool]]:
+    """Packages of pip, their oldest supported versions, and whether only an extra needs them."""
+    for line in requires("yolov5_lifecycle") or []:
+        parts = _REQUIREMENT.match(line)
+        assert parts is not None
+        yield parts[1], parts[2] or "0", "extra ==" in line and "opencv" not in line
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", text.partition("+")[0])[:3])
+
+
+def _duplicates(_: Machine) -> Iterator[Finding]:
+    doubled = {module: places for module in _ONCE if len(places := _copies(module)) > 1}
+    for module, (used, *hidden) in doubled.items():
+        package = PIP_PACKAGES.get(module, module)
+        if module == "cv2":  # which several packages of pip have
+            names = (str(each.name) for each in distributions(path=[used]))
+            package = next((name for name in names if name.startswith("opencv")), package)
+        uninstall = shell_command(sys.executable, "-m", "pip", "uninstall", package)
+        is_given = used in os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        what_to_do = f"Remove {used} from PYTHONPATH" if is_given else f"Uninstall one, such as `{uninstall}`"
+        yield warning(
+            f"{module} is loaded from {used} and hides {', '.join(hidden)}",
+            remedy=f"{what_to_do}, because compiled packages fit only one of the two.",
+        )
+    if not doubled:
+        yield ok("no package is there twice")
+
+
+def _copies(module: str) -> list[str]:
+    """The folders of sys.path from which `module` could be imported, the one that is used first."""
+    places: dict[Path, str] = {}
+    for entry in filter(None, sys.path):
+        spec = PathFinder.find_spec(module, [entry])
+        if spec is not None and spec.origin is not None:
+            places.setdefault(Path(spec.origin).resolve(), entry)
+    return list(dict.fromkeys(places.values()))
+
+
 def _processor(machine: Machine) -> Iterator[Finding]:
     count, quota, known = compute_threads(), cores(machine.text), abilities()
     found = f"{count} processors, {', '.join(known) or 'no vector instructions known'}"
@@ -67,7 +137,7 @@ def _processor(machine: Machine) -> Iterator[Finding]:
 
 def _memory(machine: Machine) -> Iterator[Finding]:
     limits = {
-        "is available": available_bytes(machine.path("/proc/meminfo")),
+        "is available": available_bytes(machine.text),
         "is the limit of the control group": memory_bytes(machine.text),
     }
     known = {name: value for name, value in limits.items() if value is not None}
@@ -81,26 +151,6 @@ def _memory(machine: Machine) -> Iterator[Finding]:
             remedy="End other programs or raise the limit (--memory of Docker, MemoryMax= of systemd): with "
             "too little, the kernel kills the detector.",
         )
-
-
-def _cache(_: Machine) -> Iterator[Finding]:
-    try:
-        folder = cache_folder("choices").expanduser()
-        write_cache(folder / "doctor")
-        (folder / "doctor").unlink()
-    except NO_PLACE as problem:
-        yield warning(
-            f"the folder of the cache cannot be written: {problem}",
-            remedy="Give this user the right to write it, or set XDG_CACHE_HOME to another folder: without a "
-            "cache, each start compiles the model and compares the runtimes again.",
-        )
-        return
-    free = shutil.disk_usage(folder).free
-    found = f"{folder} can be written, {free / _GIB:.1f} GiB free"
-    if free >= _FREE_DISK:
-        yield ok(found)
-    else:
-        yield warning(found, remedy="Free 1 GiB, or set XDG_CACHE_HOME to a folder on a larger disk.")
 
 
 def _driver(machine: Machine) -> Iterator[Finding]:
@@ -168,8 +218,9 @@ CHECKS: Groups = {
         "Python": _python,
         "processor": _processor,
         "memory": _memory,
-        "cache": _cache,
     },
+    # The one that imports packages comes last: a broken one may end the process.
+    "packages": {"duplicates": _duplicates, "packages": _required},
     "driver": {"NVIDIA driver": _driver},
     "camera": {"camera": _camera},
 }

@@ -71,4 +71,4 @@ def thread_problem(count: int) -> str:
 
 def compute_threads() -> int:
     """Number of threads that the numerical libraries start for each of their pools."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))

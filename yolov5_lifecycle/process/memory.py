@@ -1,37 +1,28 @@
-"""Process memory: measurement, heap tuning and release to the operating system."""
+"""Memory and processors: what this process has and may have, heap tuning and release to the system."""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import re
 import sys
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
+from pathlib import Path, PurePosixPath
 
 _STATISTICS = Path("/proc/self/statm")  # in pages: the address space, then the resident set
-_MACHINE = Path("/proc/meminfo")  # in KiB
 _MIB = 1 << 20
+_LIBC = ctypes.CDLL(None)
 _TRIM_THRESHOLD = (-1, 256 * _MIB)
 _MMAP_THRESHOLD = (-3, 32 * _MIB)  # the maximum accepted by glibc; a 4K image has 24 MiB
 _ARENA_MAX = (-8, 1)
 
-
-def resident_mb() -> float | None:
-    """Resident memory of this process in units of 2**20 bytes; None without /proc, as on macOS."""
-    try:
-        pages = int(_STATISTICS.read_text().split()[1])
-    except OSError:
-        return None
-    return pages * os.sysconf("SC_PAGE_SIZE") / _MIB
+Read = Callable[[str], str]
+"""The text of a file of the machine; "" if it cannot be read."""
 
 
-def available_bytes(path: Path = _MACHINE) -> int | None:
-    """Memory of the machine that is available without swapping; None without `path`, as on macOS."""
-    try:
-        lines = path.read_text().splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:")), None)
+def resident_mb() -> float:
+    """Resident memory of this process in units of 2**20 bytes."""
+    return int(_STATISTICS.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / _MIB
 
 
 def prepare_heap() -> None:
@@ -39,17 +30,15 @@ def prepare_heap() -> None:
 
     All threads share one arena: malloc_trim does not trim the top of other arenas, up to 64 MB each. Freed
     memory is kept until `trim_heap`: otherwise most of it is returned to the system after every image and
-    mapped again page by page, which costs 2 ms for the copies of a 1280x720 image. No-op without glibc.
+    mapped again page by page, which costs 2 ms for the copies of a 1280x720 image.
     """
-    if (mallopt := _libc_function("mallopt")) is not None:
-        for option, value in (_ARENA_MAX, _MMAP_THRESHOLD, _TRIM_THRESHOLD):
-            mallopt(option, value)
+    for option, value in (_ARENA_MAX, _MMAP_THRESHOLD, _TRIM_THRESHOLD):
+        _LIBC.mallopt(option, value)
 
 
 def trim_heap() -> None:
     """Return free heap memory to the operating system."""
-    if (trim := _libc_function("malloc_trim")) is not None:
-        trim(0)
+    _LIBC.malloc_trim(0)
 
 
 def release_unused_memory() -> None:
@@ -63,6 +52,35 @@ def release_unused_memory() -> None:
     trim_heap()
 
 
-def _libc_function(name: str) -> Any:
-    """A function of the C library; None if the library lacks it, as musl does."""
-    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
+def _text_of(name: str) -> str:
+    try:
+        return Path(name).read_text(encoding="ascii")
+    except (OSError, ValueError):
+        return ""
+
+
+def available_bytes(read: Read = _text_of) -> int | None:
+    """Memory of the machine that is available without swapping; None if it is not known."""
+    found = re.search(r"^MemAvailable: *(\d+) kB", read("/proc/meminfo"), re.MULTILINE)
+    return int(found[1]) << 10 if found else None
+
+
+def cores(read: Read = _text_of) -> float | None:
+    """How many processors this process may use on average; None without a limit."""
+    limits = (text.split() for text in _limits(read, "cpu.max"))
+    return min((int(quota_us) / int(period_us) for quota_us, period_us in limits), default=None)
+
+
+def memory_bytes(read: Read = _text_of) -> int | None:
+    """How much memory all processes of the group may use together; None without a limit."""
+    return min(map(int, _limits(read, "memory.max")), default=None)
+
+
+def _limits(read: Read, name: str) -> Iterator[str]:
+    """The file `name` of this process's control group (version 2) and of those around it, where it limits."""
+    found = re.search(r"^0::(/.*)$", read("/proc/self/cgroup"), re.MULTILINE)
+    group = PurePosixPath(found[1] if found else "/")
+    for folder in (group, *group.parents):
+        text = read(f"/sys/fs/cgroup{folder}/{name}")
+        if text and not text.startswith("max"):
+            yield text

@@ -15,29 +15,18 @@ from yolov5_lifecycle.printable import in_one_line
 
 MAX_FILE_BYTES = 64 * 1024
 _COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
+_NUMBERS = (("camera_matrix", (9,)), ("rectification_matrix", (9,)), ("projection_matrix", (12,)))
 _FILE, _PACKAGE = "file://", "package://"
 
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE_PX)]
 
 
-class Coefficients(BaseModel):
-    """A matrix in OpenCV's YAML format: rows, cols and row-major data."""
+class Matrix(BaseModel):
+    """A matrix in OpenCV's YAML format: its numbers, row by row."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    data: Annotated[tuple[float, ...], Field(max_length=14)]
-
-
-class Matrix3x3(Coefficients):
-    rows: Literal[3] = 3
-    cols: Literal[3] = 3
-    data: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)]
-
-
-class Matrix3x4(Coefficients):
-    rows: Literal[3] = 3
-    cols: Literal[4] = 4
-    data: Annotated[tuple[float, ...], Field(min_length=12, max_length=12)]
+    data: tuple[float, ...]
 
 
 class CameraInfoValues(BaseModel):
@@ -47,23 +36,22 @@ class CameraInfoValues(BaseModel):
 
     image_width: Side
     image_height: Side
-    camera_name: str = Field("", max_length=200)
-    camera_matrix: Matrix3x3
+    camera_matrix: Matrix
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"]
-    distortion_coefficients: Coefficients
-    rectification_matrix: Matrix3x3
-    projection_matrix: Matrix3x4
+    distortion_coefficients: Matrix
+    rectification_matrix: Matrix
+    projection_matrix: Matrix
 
     @model_validator(mode="after")
     def _is_of_a_calibrated_camera(self) -> CameraInfoValues:
-        if min(self.camera_matrix.data[0], self.camera_matrix.data[4]) <= 0:
-            raise ValueError("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
-        counts, found = _COEFFICIENTS[self.distortion_model], len(self.distortion_coefficients.data)
-        if found not in counts:
-            raise ValueError(
-                f"distortion_coefficients: expected {' or '.join(map(str, counts))} for "
-                f"{self.distortion_model}, found {found}"
-            )
+        problems = []
+        for name, counts in (*_NUMBERS, ("distortion_coefficients", _COEFFICIENTS[self.distortion_model])):
+            if (found := len(getattr(self, name).data)) not in counts:
+                problems.append(f"{name}: expected {' or '.join(map(str, counts))} numbers, found {found}")
+        if min(self.camera_matrix.data[:5:4], default=0.0) <= 0:
+            problems.append("camera_matrix: expected focal lengths above 0; has the camera been calibrated?")
+        if problems:
+            raise ValueError("; ".join(problems))
         return self
 
     @property

@@ -27,7 +27,6 @@ Report = Callable[[str], None]
 Wait = Callable[[float], bool]
 """Waits the given seconds; True when interrupted because the stream is no longer needed."""
 sleep: Wait = threading.Event().wait
-Connect = Callable[[str], cv2.VideoCapture]
 
 
 def is_stream(source: str) -> bool:
@@ -64,19 +63,14 @@ def _has_host(source: str) -> bool:
 
 
 def open_stream(
-    source: str,
-    *,
-    reconnects: bool,
-    report: Report,
-    wait: Wait = sleep,
-    connect: Connect = open_capture,
+    source: str, *, reconnects: bool, report: Report, wait: Wait
 ) -> tuple[Iterator[NDArray[np.uint8]], float | None]:
     """BGR frames (H, W, 3) of `source` and, for a file served over the network, their rate, else None.
 
     With `reconnects`, a stream that ends is reconnected until it succeeds, which goes to `report`; `wait` is
     called before each attempt. Raises SourceError if the first connection fails.
     """
-    first = connect(source)
+    first = open_capture(source)
     if not first.isOpened():
         first.release()
         raise SourceError(
@@ -97,7 +91,7 @@ def open_stream(
             while not capture.isOpened():
                 if wait(RETRY_S):
                     return
-                capture = connect(source)
+                capture = open_capture(source)
             report(f"'{shown}' is connected again.")
 
     return frames(), rate_hz if is_file and 0 < rate_hz <= 1000 else None

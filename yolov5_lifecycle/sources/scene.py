@@ -228,17 +228,14 @@ def label_image(outlines: Sequence[NDArray[np.float64]], size_hw: tuple[int, int
 
 
 def _inside(outline: NDArray[np.float64], size_hw: tuple[int, ...]) -> NDArray[np.bool_]:
-    """The pixels (h, w) whose centres have an odd number of crossings with `outline` on their left."""
-    height, width = size_hw
-    centres_y = np.arange(height)[:, None] + 0.5
-    (from_x, from_y), (to_x, to_y) = outline.T, np.roll(outline, -1, axis=0).T
-    rows, edges = ((from_y <= centres_y) != (to_y <= centres_y)).nonzero()
-    shares = (centres_y[rows, 0] - from_y[edges]) / (to_y[edges] - from_y[edges])
-    crossings_x = from_x[edges] + shares * (to_x[edges] - from_x[edges])
-    first_right = np.clip(np.ceil(crossings_x - 0.5), 0, width).astype(int)
-    crossings = np.zeros((height, width + 1), np.uint8)
-    np.add.at(crossings, (rows, first_right), 1)
-    return np.asarray(np.cumsum(crossings, axis=1, dtype=np.uint8)[:, :width] % 2, np.bool_)
+    """The pixels (h, w) whose centres have an odd number of crossings with `outline` on their right."""
+    centres_y, centres_x = (np.arange(side) + 0.5 for side in size_hw)
+    inside = np.zeros(size_hw, np.bool_)
+    for (from_x, from_y), (to_x, to_y) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        rows = (from_y <= centres_y) != (to_y <= centres_y)
+        crossings_x = from_x + (centres_y[rows] - from_y) / (to_y - from_y) * (to_x - from_x)
+        inside[rows] ^= centres_x < crossings_x[:, None]
+    return inside
 
 
 def check_size(size_hw: tuple[int, int]) -> None:

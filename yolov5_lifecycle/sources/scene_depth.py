@@ -119,7 +119,6 @@ def scene_camera_info(size_hw: tuple[int, int]) -> CameraInfoValues:
         {
             "image_width": width,
             "image_height": height,
-            "camera_name": "scene",
             "distortion_model": "plumb_bob",
             "distortion_coefficients": {"data": (0, 0, 0, 0, 0)},
             "camera_matrix": {"data": (focal_px, 0, cx, 0, focal_px, cy, 0, 0, 1)},

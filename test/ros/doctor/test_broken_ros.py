@@ -14,7 +14,7 @@ from yolov5_lifecycle.ros.doctor.environment import CHECKS, PROFILE
 from yolov5_lifecycle.ros.doctor.started_nodes import Arrivals
 from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 
-SUBJECTS = ["middleware", "discovery", "shared memory", "log", "ROS"]
+SUBJECTS = ["middleware", "discovery", "shared memory", "ROS"]
 WRONG = {
     "RMW_IMPLEMENTATION": "rmw_nothing_cpp",
     "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere/shm.xml",
@@ -23,7 +23,6 @@ WRONG = {
     "ROS_DOMAIN_ID": "233",
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "subnet",
     "ROS_LOCALHOST_ONLY": "1",
-    "ROS_LOG_DIR": "/dev/null/log",
 }
 """Every variable, each in a way of its own."""
 
@@ -67,7 +66,6 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Finding]:
             id="the old variable",
         ),
         pytest.param(*("shared memory", "warning", "/dev/shm does not exist", "--ipc=host"), id="/dev/shm"),
-        pytest.param(*("log", "error", "cannot be written", "set ROS_LOG_DIR to another folder"), id="log"),
         pytest.param(
             *("ROS", "error", "Expected RMW implementation identifier", "Correct the errors above first"),
             id="the process ends",
@@ -89,7 +87,7 @@ def test_a_process_that_ends_hides_no_other_check(rows: list[Finding]) -> None:
 @pytest.mark.parametrize(
     ("domain", "level"),
     [
-        *(("", "ok"), ("101", "ok"), ("102", "warning"), ("232", "warning"), ("233", "error")),
+        *(("", "ok"), ("232", "ok"), ("233", "error")),
         *(("-1", "error"), ("two", "error"), ("9" * 30, "error")),
     ],
 )
@@ -121,14 +119,6 @@ def test_a_full_dev_shm_is_found(tmp_path: Path) -> None:
     assert finding.level == "warning"
     assert "has 0 KiB free and Fast DDS needs 656 KiB" in finding.found
     assert finding.remedy.startswith("Give the container more")
-
-
-def test_a_log_in_a_home_that_ros_does_not_know_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    for variable in ("HOME", "ROS_HOME", "ROS_LOG_DIR"):
-        monkeypatch.delenv(variable, raising=False)
-    (finding,) = CHECKS["ros"]["log"](Machine())
-    assert (finding.level, "HOME is not set" in finding.found) == ("error", True)
-    assert "set HOME, or set ROS_LOG_DIR" in finding.remedy
 
 
 def test_a_python_without_ros_is_told_to_source_it(tmp_path: Path) -> None:

@@ -13,15 +13,15 @@ from rclpy.exceptions import ParameterException
 
 from yolov5_lifecycle.process.standard_streams import complain, flush_output
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs
-from yolov5_lifecycle.ros.camera.settings import SCHEMA, check_qos_overrides, declared_settings
+from yolov5_lifecycle.ros.camera.settings import SCHEMA, check_qos_overrides
 from yolov5_lifecycle.ros.nodes import PrintableNode, spin, stop_event
+from yolov5_lifecycle.ros.parameters.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
 from yolov5_lifecycle.ros.services import wrap_services
 from yolov5_lifecycle.ros.shared_memory import shared_memory_problems
 from yolov5_lifecycle.ros.start_arguments import explain, initialize, refuse, start_arguments
 from yolov5_lifecycle.settings.schema import SettingsError
-from yolov5_lifecycle.sources.frames import ImageSource, SourceFrame
-from yolov5_lifecycle.sources.playback import Playback
+from yolov5_lifecycle.sources.frames import ImageSource, Playback, SourceFrame
 from yolov5_lifecycle.sources.source import open_source
 
 _DELIVERY_S = 1.0
@@ -43,7 +43,8 @@ class CameraNode(PrintableNode):
 
     def __init__(self) -> None:
         super().__init__("camera")
-        self._settings = declared_settings(self)
+        values, _ = declare(self, SCHEMA)
+        self._settings = SCHEMA.validated(values)
         self._outputs = CameraOutputs(self, self._settings)
         check_qos_overrides(self)
         wrap_services(self, {})

@@ -32,8 +32,6 @@ from yolov5_lifecycle.sources.scene import CLASS_NAMES, Truth, label_image, trut
 from yolov5_lifecycle.sources.scene_depth import DepthFrame
 from yolov5_lifecycle.spatial.placement import Box3D
 
-_RELIABILITIES = {"reliable": ReliabilityPolicy.RELIABLE, "best_effort": ReliabilityPolicy.BEST_EFFORT}
-
 
 def raw_message(image: ColourImage, encoding: str, header: Header) -> Image:
     """Image message of `image` in `encoding`."""
@@ -71,7 +69,7 @@ class CameraOutputs:
         self._settings = settings
         self._camera_info = settings.camera_info
         topic = node.resolve_topic_name("image_raw")
-        offered = _RELIABILITIES[settings.reliability]
+        offered = ReliabilityPolicy[settings.reliability.upper()]
         self._images = [
             (_publisher(node, message_type, f"{topic}{suffix}", reliability=offered), message)
             for form, (suffix, message_type, message) in _FORMS.items()

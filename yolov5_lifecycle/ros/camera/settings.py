@@ -10,7 +10,6 @@ from rclpy.node import Node
 
 from yolov5_lifecycle.images.image import MAX_FRAME_ID, MAX_SIDE_PX
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.ros.parameters.declaration import declare
 from yolov5_lifecycle.ros.rclpy_internals import parameter_overrides
 from yolov5_lifecycle.settings.schema import Change, Problem, Schema, SettingsError, contradiction
 from yolov5_lifecycle.settings.suggestion import did_you_mean
@@ -115,15 +114,6 @@ class CameraSettings(BaseModel):
 
 
 SCHEMA = Schema(CameraSettings)
-
-
-def declared_settings(node: Node) -> CameraSettings:
-    """Declare the settings as read-only parameters of `node`, with the values of its overrides.
-
-    Raises SettingsError with every problem: invalid values and unknown names.
-    """
-    values, _ = declare(node, SCHEMA)
-    return SCHEMA.validated(values)
 
 
 def check_qos_overrides(node: Node) -> None:

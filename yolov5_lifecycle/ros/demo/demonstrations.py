@@ -143,26 +143,25 @@ def two_cameras(stage: Stage) -> str:
 
 
 def figures(frames: Sequence[tuple[Any, ...]]) -> tuple[float, int, float]:
-    """Share of the objects that are found, changes of identity, and the median error in space.
+    """Share of the objects that are found, tracks too many or shared, and the median error in space.
 
     `frames` are names of cameras, each with what is there in an image and in space, and what is found,
     likewise. The error is that of the place, as a share of its distance; infinite for an object that has an
     id and no place.
     """
     true = sum(len(truth.detections) for _, truth, _, _, _ in frames)
-    tracks, owners = dict[tuple[str, str], str](), dict[str, tuple[str, str]]()
-    found, switches, errors = 0, 0, []
+    found, tracked, errors = 0, set[tuple[str, str, str]](), []
     for camera, truth, true_places, seen, places in frames:
         true_xyz, xyz = _centres_by_id(true_places), _centres_by_id(places)
         for true_row, row in matched(truth, seen):
             found += 1
             name, track = truth.detections[true_row].id, seen.detections[row].id
             if track:
-                owner = (camera, name)
-                switches += tracks.get(owner, track) != track or owners.get(track, owner) != owner
-                tracks[owner], owners[track] = track, owner
+                tracked.add((camera, name, track))
                 error = np.linalg.norm(xyz.get(track, _NOWHERE) - true_xyz[name])
                 errors.append(float(error / np.linalg.norm(true_xyz[name])))
+    objects, tracks = {(camera, name) for camera, name, _ in tracked}, {track for *_, track in tracked}
+    switches = len(tracked) - min(len(objects), len(tracks))
     return found / max(true, 1), switches, float(np.median(errors or [np.inf]))
 
 

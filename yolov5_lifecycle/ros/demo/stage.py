@@ -24,12 +24,11 @@ from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer, RemoteLifecycleN
 OUTPUT = Path("build/demo")
 DETECTOR = "/yolov5"
 CONFIG = resolve_package("package://yolov5_lifecycle/config")
-_KEPT, _KEPT_IMAGES = 1000, 50
 
 Commands = Mapping[str, str]
 """Command lines as in a shell, by the names of their processes; the last one is that of the detector."""
 Received = dict[int, Any]
-"""The newest messages on a topic by stamp in ns: none at first, more while the observer works."""
+"""The messages on a topic by stamp in ns: none at first, more while the observer works."""
 Report = Callable[[str], None]
 
 
@@ -67,14 +66,11 @@ class Stage:
     def collect(self, message_type: Any, topic: str) -> Received:
         """What comes on `topic` until it is released."""
         received: Received = {}
-        kept = _KEPT_IMAGES if message_type is Image else _KEPT
 
         def take(message: Any) -> None:
             stamp = stamp_ns(message.header)
             received[stamp] = message
             self.latencies_ms[topic, stamp] = (time.time_ns() - stamp) / 1e6
-            if len(received) > kept:
-                del received[next(iter(received))]
 
         self._subscriptions[topic] = self.observer.create_subscription(message_type, topic, take, 10)
         return received

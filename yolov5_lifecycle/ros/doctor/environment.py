@@ -1,10 +1,9 @@
-"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory, log."""
+"""ROS as this terminal sees it: distribution, middleware, discovery, shared memory."""
 
 from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.metadata import version
@@ -24,7 +23,7 @@ PROFILE = "package://yolov5_lifecycle/config/shm.xml"
 _DISTRIBUTIONS = {"7": "jazzy", "9": "kilted"}
 """By the first number of rclpy's version."""
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
-_LAST_DOMAIN, _LAST_FREE_DOMAIN = 232, 101
+_LAST_DOMAIN = 232
 
 
 def _distribution(_: Machine) -> Iterator[Finding]:
@@ -92,13 +91,10 @@ def _discovery(_: Machine) -> Iterator[Finding]:
 
 def _discovery_problems(domain: str, reach: str) -> Iterator[Finding]:
     number = int(domain) if domain.isdecimal() and len(domain) < 9 else -1
-    remedy = f"`export ROS_DOMAIN_ID=` a number from 0 to {_LAST_FREE_DOMAIN}, the same for all nodes."
     if not 0 <= number <= _LAST_DOMAIN:
-        yield error(f"ROS_DOMAIN_ID is {domain}: no node can start", remedy=remedy)
-    elif number > _LAST_FREE_DOMAIN:
-        yield warning(
-            f"ROS_DOMAIN_ID is {number}: Linux may give the ports of this domain to other programs",
-            remedy=remedy,
+        yield error(
+            f"ROS_DOMAIN_ID is {domain}: no node can start",
+            remedy="`export ROS_DOMAIN_ID=` a number from 0 to 101, the same for all nodes.",
         )
     if reach not in _RANGES:
         yield error(
@@ -135,29 +131,11 @@ def _shared_memory(machine: Machine) -> Iterator[Finding]:
     yield ok(f"{free_bytes(folder) >> 20} MiB free in /dev/shm")
 
 
-def _log(_: Machine) -> Iterator[Finding]:
-    home = os.environ.get("ROS_HOME") or "~/.ros"
-    try:
-        if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # ROS asks no one else for it
-            raise OSError("HOME is not set")
-        folder = Path(os.environ.get("ROS_LOG_DIR") or f"{home}/log").expanduser()
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            yield ok(f"{folder} can be written")
-    except (OSError, RuntimeError) as problem:
-        yield error(
-            f"the folder of ROS's log cannot be written: {problem}",
-            remedy="Give this user the right to write it, set HOME, or set ROS_LOG_DIR to another folder: "
-            "without a log, no node starts.",
-        )
-
-
 CHECKS: Groups = {
     "ros": {
         "middleware": _middleware,
         "discovery": _discovery,
         "shared memory": _shared_memory,
-        "log": _log,
         "ROS": _distribution,  # last: with a wrong middleware, importing rclpy ends the process
     }
 }

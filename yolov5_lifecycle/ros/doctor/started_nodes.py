@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
@@ -18,7 +16,10 @@ from yolov5_lifecycle.atomic_file import temporary_folder
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.process.standard_streams import show_report
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point, isolated, own_domain
+from yolov5_lifecycle.ros.demo.demonstrations import ONE_CAMERA, one_camera
+from yolov5_lifecycle.ros.demo.stage import DemonstrationError, stage
 from yolov5_lifecycle.ros.doctor.environment import PROFILE
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.observer import Observer
@@ -104,28 +105,22 @@ def _watched() -> Arrivals:
 
 
 def _life(_: Machine) -> Iterator[Finding]:
-    """What `demo` says, which drives every transition, live changes and a model swap."""
-    with temporary_folder() as folder:  # the demonstration writes below the current one
-        demo = subprocess.Popen(
-            [entry_point("demo")], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
-        assert demo.stdout is not None
-        output = ""
-        with demo:
-            for line in demo.stdout:
-                sys.stderr.write(line)  # the last ones are quoted if no further one follows in time
-                output += line
-    if demo.returncode == 0:
-        found = output.rpartition("demo ok: ")[2].partition(", image")[0]
-        yield ok(
-            f"configured, activated, changed, model swapped, deactivated, activated again, shut down: {found}"
-        )
-    else:
-        yield error(
-            in_one_line(output.rpartition("demo failed: ")[2], 800),
-            remedy="Correct the errors above first; then run `demo`, which shows every step, and report "
-            "its output.",
-        )
+    """What `demo` does, which drives every transition, live changes and a model swap."""
+    with temporary_folder() as folder:
+        os.chdir(folder)  # the demonstration writes below it
+        try:
+            # The last steps are quoted if no further one follows in time.
+            with stage(ONE_CAMERA, lambda step: show_report(f"{step}\n")) as driven:
+                found = one_camera(driven).partition(", image")[0]
+        except (DemonstrationError, OSError, RuntimeError) as problem:
+            yield error(
+                in_one_line(str(problem), 800),
+                remedy="Correct the errors above first; then run `demo`, which shows every step, and report "
+                "its output.",
+            )
+        else:
+            told = "configured, activated, changed, model swapped, deactivated, activated again, shut down"
+            yield ok(f"{told}: {found}")
 
 
 CHECKS: Groups = {"transport": {"image transport": _transport}, "node": {"node": _life}}
