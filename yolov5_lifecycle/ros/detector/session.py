@@ -104,8 +104,6 @@ class ActiveCamera:
     """Owns a camera's subscriptions, tracker and statistics while the node is active.
 
     `settings` are those of the camera. From construction on the threads of the `session` detect what comes.
-
-    If the subscription cannot be created, this is shown in the status; every `update` retries.
     """
 
     session: Session
