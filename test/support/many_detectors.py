@@ -54,7 +54,7 @@ def _detector(name: str) -> DetectorNode:
     prepare.refusal = "the model is of another planet" if name == REFUSED else ""
     is_started = str(name in (ACTIVE, REFUSED)).lower()
     words = ["--ros-args", "-r", f"__node:={name[1:]}", "-p", f"autostart:={is_started}"]
-    return DetectorNode(prepare=prepare, cli_args=words, arguments=words)
+    return DetectorNode(prepare=prepare, cli_args=words)
 
 
 if __name__ == "__main__":

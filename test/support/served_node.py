@@ -35,8 +35,6 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
-from yolov5_lifecycle.ros.parameters.settings_parameters import Validate
-from yolov5_lifecycle.settings.settings import validated
 
 PATIENCE_S = 60.0
 
@@ -63,7 +61,6 @@ class ServedNode:
         *,
         parameters: Sequence[str] = (),
         arguments: Sequence[str] = (),
-        validate: Validate = validated,
         rest_timeout_s: float = REST_TIMEOUT_S,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
@@ -76,12 +73,10 @@ class ServedNode:
         words = [*arguments, *(["--ros-args", *assignments] if assignments else [])]
         self.node = DetectorNode(
             prepare=prepare,
-            validate=validate,
             rest_timeout_s=rest_timeout_s,
             diagnostics_period_s=0.1,
             context=self._context,
             cli_args=words,
-            arguments=words,
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)

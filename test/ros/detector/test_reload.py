@@ -69,14 +69,16 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
-    reload = served.begin_set(model_size="n6")  # needs multiples of 64
+    prepare.class_names = ("star", "circle")
+    reload = served.begin_set(weights="/other.pt")
     assert prepare.begun.acquire(timeout=PATIENCE_S)
-    other = served.begin_set(image_size=672)
+    assert served.set(classes=["cat"]) == (True, "")
     prepare.gate.set()
-    served.wait_for(lambda: reload.done() and other.done(), "both answers")
-    answers = [reload.result().result, other.result().result]
-    assert sorted(answer.successful for answer in answers) == [False, True]
-    assert sum(not runtime.is_closed for runtime in prepare.runtimes) == 1
+    served.wait_for(reload.done, "the answer")
+    assert not reload.result().result.successful
+    assert "`classes` still names classes of the running model" in reload.result().result.reason
+    assert [runtime.is_closed for runtime in prepare.runtimes] == [False, True]
+    assert class_ids_of(served.detect()) == ["cat"]
 
 
 # Weights files

@@ -72,8 +72,7 @@ def test_every_parameter_is_logged_with_the_source_of_its_value(
         *("front.max_rate", "front.classes", "front.lazy", "rear.image_transport", "rear.max_rate")
     }
     assert rows["lazy"] == ["true", "default"]
-    assert rows["front.max_rate"] == ["5.0", "parameter file"]
-    assert rows["rear.max_rate"] == ["2.5", "command line"]
+    assert rows["front.max_rate"] == ["5.0", "given at the start"]
     assert rows["front.lazy"] == ["false", "set at run time"]
 
 

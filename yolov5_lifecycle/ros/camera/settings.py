@@ -122,8 +122,7 @@ def declared_settings(node: Node) -> CameraSettings:
 
     Raises SettingsError with every problem: invalid values and unknown names.
     """
-    values, _ = declare(node, SCHEMA)
-    return SCHEMA.validated(values)
+    return SCHEMA.validated(declare(node, SCHEMA))
 
 
 def check_qos_overrides(node: Node) -> None:
