@@ -16,7 +16,7 @@ from typing import TypeVar
 from pydantic import BaseModel
 
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
-from yolov5_lifecycle.settings.suggestion import nearest
+from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN, nearest
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
 
 CAMERAS = "cameras"
@@ -64,10 +64,9 @@ class OverridableSchema(Schema[Model]):
         strays = [name for name in dotted if name not in given]
         overrides, of_cameras = self._of_cameras(own, given)
         settings, of_node = self._attempt(own, overrides)
-        if any(problem.setting == CAMERAS for problem in of_node):
-            of_strays = self._while_cameras_are_wrong({name: dotted[name] for name in strays})
-        else:
-            of_strays = self.all_unknown(strays, values)
+        of_strays = self.all_unknown(strays, values)
+        overriding = [name for name in strays if self._inherited(name)][:MAX_UNKNOWN]
+        of_strays += filter(None, (self.problem(name, dotted[name]) for name in overriding))
         inherited = {f"{camera}{SEPARATOR}{problem}" for camera in _cameras(values) for problem in of_node}
         of_cameras = [each for each in of_cameras if each.setting in given or str(each) not in inherited]
         if settings is None or of_node or of_cameras or of_strays:
@@ -109,16 +108,8 @@ class OverridableSchema(Schema[Model]):
             return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."
         if self._inherited(name) is None or (cameras and nearest(camera, cameras)):
             return ""
-        present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
+        present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "names none"
         return f"add the camera to {CAMERAS}, which {present}."
-
-    def _while_cameras_are_wrong(self, strays: Mapping[str, object]) -> list[Problem]:
-        """The problems of overrides whose camera the corrected `cameras` may hold, whatever it is called."""
-        waiting = [name for name in strays if self._inherited(name)]
-        told = [Problem(name, f"add {camera_of(name)} when you correct {CAMERAS}.") for name in waiting]
-        told += filter(None, (self.problem(name, strays[name]) for name in waiting))
-        unknown = [name for name in strays if not self._inherited(name)]
-        return told + self.all_unknown(unknown, {CAMERAS: [*dict.fromkeys(map(camera_of, unknown))]})
 
     def _inherited(self, name: str) -> Setting | None:
         """The setting of the node that the override `name` replaces; None if its camera cannot exist."""

@@ -206,11 +206,11 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         problems = topic_problems(self, cameras)
-        if self._is_qos_checked:  # the overrides are fixed, but their camera may be gone since
-            return problems
-        are_undecided = any(problem.setting == CAMERAS for problem in self._settings.problems)
-        with suppress(RuntimeError):  # of a name that ROS refuses, which is told already
-            problems += map(str, qos_problems(self, cameras, are_undecided=are_undecided))
+        are_wrong = any(problem.setting == CAMERAS for problem in self._settings.problems)
+        # Overrides are fixed, but the camera of one may be wrong now, or gone since an earlier configure.
+        if not self._is_qos_checked and not are_wrong:
+            with suppress(RuntimeError):  # of a name that ROS refuses, which is told already
+                problems += map(str, qos_problems(self, cameras))
         return problems
 
     def _status(self) -> Status:
