@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
 from support.camera_client import CameraClient, DepthClient, Viewer
@@ -36,6 +37,7 @@ from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.messages import image_message, image_of_message
+from yolov5_lifecycle.ros.topics import LABEL_INFO, full_name, published
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 
 # Annotated images
@@ -80,19 +82,6 @@ def test_only_images_with_subscribers_are_encoded_and_one_that_cannot_be_leaves_
     served.wait_for_log("no image on ~/image/compressed: no room")
     raw.of(camera.see().header)
     assert served.counts()["failed"] == 0
-
-
-def test_a_subscriber_to_the_remapped_compressed_image_alone_keeps_a_lazy_node_detecting(
-    prepare: Preparations,
-) -> None:
-    received: list[CompressedImage] = []
-    with ServedNode(prepare, arguments=["--ros-args", "-r", "~/image:=/screen"]) as served:
-        served.bring_to("active")
-        served.client.create_subscription(CompressedImage, "/screen/compressed", received.append, 1)
-        served.ignore_detections()
-        served.send_until(lambda: bool(received), "a compressed image")
-        assert image_of_message(received[0]).size_hw == (48, 64)
-    assert served.escaped == []
 
 
 def test_ids_and_distances_are_drawn_although_nobody_asks_for_detections_in_space(
@@ -165,7 +154,7 @@ def test_masks_number_the_detections_with_the_same_stamp(
     assert model.computed == computed, "no prototypes are needed for that"
 
 
-def test_masks_are_computed_only_while_somebody_asks_for_them_which_keeps_a_lazy_node_detecting(
+def test_masks_are_computed_only_while_they_have_subscribers(
     camera: CameraClient, model: SegmentingModel
 ) -> None:
     served = camera.served
@@ -183,12 +172,6 @@ def test_masks_are_computed_only_while_somebody_asks_for_them_which_keeps_a_lazy
         return model.computed == before
 
     served.wait_for(is_detected_without_masks, "the node to compute no masks")
-    served.ignore_detections()
-    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
-    masks = MasksSubscriber(camera)
-    served.wait_for(lambda: bool(camera.send()) and bool(masks.received), "masks")
-    masks.leave()
-    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
 
 
 def test_an_image_that_is_detected_before_somebody_subscribes_has_no_masks(
@@ -284,6 +267,29 @@ def test_a_subscriber_to_masks_alone_does_not_keep_a_model_detecting_that_does_n
     prepare.run = lambda: prediction("cat", 0.9)
     assert served.set(image_size=64) == (True, "")
     served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+
+
+# All topics
+
+
+def test_a_subscriber_to_any_topic_keeps_a_lazy_node_detecting(prepare: Preparations) -> None:
+    SegmentingModel(prepare)
+    arguments = ["--ros-args", "-r", "~/image:=/screen"]
+    with ServedNode(prepare, parameters=[*PARAMETERS, "depth:=true"], arguments=arguments) as served:
+        served.bring_to("active")
+        served.ignore_detections()
+        outputs = [each for each in served.node.publishers if isinstance(each, LifecyclePublisher)]
+        names = [each.topic_name for each in outputs]
+        assert sorted(names) == sorted(full_name(served.node, topic) for topic in published(("",)))
+        assert "/screen/compressed" in names, "as image_transport names it"
+        for output in outputs:
+            if output.topic_name == full_name(served.node, LABEL_INFO):
+                continue  # published once, without images
+            served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+            viewer = served.client.create_subscription(output.msg_type, output.topic_name, lambda _: None, 1)
+            served.wait_for(lambda: served.image_subscriptions() == 1, output.topic_name)
+            served.client.destroy_subscription(viewer)
+    assert served.escaped == []
 
 
 SETTINGS = {
