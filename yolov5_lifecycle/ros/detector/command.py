@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NoReturn
 
 import rclpy
@@ -76,32 +76,22 @@ def _serve(node: DetectorNode, stop: threading.Event) -> int:
     # Torch and pydantic keep 300,000 objects alive; scanning them in a collection blocks all threads 0.15 s.
     gc.freeze()
     sys.setswitchinterval(_SWITCH_S)
-    spin(executor, node, until=_end(node, stop))
+
+    def is_over() -> bool:
+        return stop.is_set() or node.exit_code is not None
+
+    spin(executor, node, until=lambda: is_over() or node.state_label == "finalized")
+    if node.state_label == "finalized" and not is_over():
+        told = f"finalized: everything is released, the process ends in {FINALIZED_S:g} s"
+        node.get_logger().info(told)
+        end_s = time.monotonic() + FINALIZED_S
+        spin(executor, node, until=lambda: is_over() or time.monotonic() >= end_s)
     if node.exit_code is not None:
         return node.exit_code  # neither a dead device nor what a hung thread uses can be released
     autostart.cancel()  # else Python warns "never awaited" if it has not started
     node.close()
     rclpy.try_shutdown()
     return 0
-
-
-def _end(node: DetectorNode, stop: threading.Event) -> Callable[[], bool]:
-    """Function that is true after a signal, with an exit code, or FINALIZED_S after the end of `node`."""
-    end_s: float | None = None
-
-    def is_over() -> bool:
-        nonlocal end_s
-        if stop.is_set() or node.exit_code is not None:
-            return True
-        if node.state_label != "finalized":
-            return False
-        if end_s is None:
-            end_s = time.monotonic() + FINALIZED_S
-            told = f"finalized: everything is released, the process ends in {FINALIZED_S:g} s"
-            node.get_logger().info(told)
-        return time.monotonic() >= end_s
-
-    return is_over
 
 
 if __name__ == "__main__":

@@ -23,11 +23,6 @@ Reliability = Literal["auto", "best_effort", "reliable"]
 
 WINDOW_S = 5.0
 """Window over which recent losses are counted, in seconds."""
-_POLICIES = {
-    "auto": None,
-    "best_effort": ReliabilityPolicy.BEST_EFFORT,
-    "reliable": ReliabilityPolicy.RELIABLE,
-}
 
 
 @dataclass(eq=False)
@@ -237,7 +232,7 @@ class ImageInput:
             topic,
             self._take,
             depth=1,
-            reliability=_POLICIES[self._reliability],
+            reliability=None if self._reliability == "auto" else ReliabilityPolicy[self._reliability.upper()],
             events=SubscriptionEventCallbacks(message_lost=self._lose, matched=partial(self._match, topic)),
         )
         self.update()

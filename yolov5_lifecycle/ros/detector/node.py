@@ -13,7 +13,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prepare_model
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
+from yolov5_lifecycle.ros.detector.bond import Bond, status_type
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
@@ -161,7 +161,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
         settings = self._settings.settings()
         try:
             check_place(settings)
-            check_bond(settings.bond_timeout)
+            if settings.bond_timeout:
+                status_type(settings.bond_timeout)
         except ValueError as error:
             self.report(f"configure refused: {error}")
             return FAILURE
