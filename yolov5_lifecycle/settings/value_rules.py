@@ -121,13 +121,18 @@ def collect_reasons(value: tuple[str, ...]) -> tuple[str, ...]:
 
 def regions(value: tuple[str, ...]) -> tuple[str, ...]:
     """Polygons such as "0.1,0.5 0.9,0.5 0.5,1"."""
-    number = 0
-    try:
-        for number, text in enumerate(value, 1):
-            Region.parse(text)
-    except ValueError as error:
-        raise violation(f"must be polygons, but entry {number} {error}.") from None
+    for number, text in enumerate(value, 1):
+        if problem := _region_problem(text):
+            raise violation(f"must be polygons, but entry {number} {problem}.")
     return value
+
+
+def _region_problem(text: str) -> str:
+    try:
+        Region.parse(text)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def cameras(value: tuple[str, ...], settings: Collection[str]) -> tuple[str, ...]:
