@@ -27,7 +27,6 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
     with ServedNode(prepare, parameters=PARAMETERS) as served:
         served.bring_to("active")
         yield served
-    assert served.escaped == []
 
 
 def test_a_subscriber_as_on_the_page_counts_the_pixels_of_each_object(

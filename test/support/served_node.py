@@ -53,7 +53,10 @@ _SERVICES = {
 
 
 class ServedNode:
-    """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager."""
+    """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager.
+
+    At its end, no exception may have escaped from a callback of the node.
+    """
 
     def __init__(
         self,
@@ -108,7 +111,7 @@ class ServedNode:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, raised: type[BaseException] | None, *_: object) -> None:
         self._stopping = True
         self._thread.join(PATIENCE_S)
         assert not self._thread.is_alive(), "a callback of the node hangs: destroying the node would crash"
@@ -117,6 +120,7 @@ class ServedNode:
         for executor in (self._executor, self._client_executor):
             executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
         rclpy.shutdown(context=self._context)
+        assert raised or self.escaped == []
 
     def _serve(self) -> None:
         while not self._stopping:

@@ -133,7 +133,6 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
         hang.end()
         assert served.transition("activate")
         assert class_ids_of(camera.detect())
-    assert served.escaped == []
 
 
 @pytest.mark.long
@@ -206,7 +205,6 @@ def two_lanes(prepare: Preparations, rest_timeout_s: float = REST_TIMEOUT_S) -> 
         served.bring_to("active")
         yield lanes
         lanes.release()
-    assert served.escaped == []
 
 
 def test_a_session_is_abandoned_as_a_whole_and_too_many_of_them_end_the_node(prepare: Preparations) -> None:
@@ -328,4 +326,3 @@ def test_detections_are_right_while_an_abandoned_thread_uses_its_network(
         busy.end()
         assert len(set(busy.rows)) == 1
         assert all("closed" in error for error in busy.errors)
-    assert served.escaped == []

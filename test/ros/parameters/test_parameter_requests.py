@@ -95,7 +95,7 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(
 # Reloads
 
 
-def test_while_a_model_is_loaded_another_is_refused_and_other_changes_are_not(
+def test_while_a_model_is_loaded_frames_are_detected_and_another_model_is_refused(
     served: ServedNode, prepare: Preparations
 ) -> None:
     served.bring_to("active")
@@ -107,6 +107,8 @@ def test_while_a_model_is_loaded_another_is_refused_and_other_changes_are_not(
     assert not done
     assert reason.startswith("another model is being loaded: set this again once that has been answered")
     assert served.set(confidence_threshold=0.5) == (True, "")
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert (served.state(), served.get("image_size"), reload.done()) == ("active", 640, False)
     prepare.gate.set()
     served.wait_for(reload.done, "the answer")
     assert reload.result().result.successful
