@@ -163,7 +163,6 @@ class ImageLosses:
         self._begun_ns = begin_ns
         self._last_number = None
         self._gaps = 0
-        self._lost_before = self.lost
 
 
 class ImageInput:
