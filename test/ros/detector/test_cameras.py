@@ -133,7 +133,7 @@ def test_failures_of_one_camera_end_the_detection_only_once_the_other_fails_as_w
     assert "failed frames in a row, the last: RuntimeError: the device is on fire" in served.status().message
 
 
-def test_only_the_camera_that_somebody_looks_at_is_subscribed_to(served: ServedNode) -> None:
+def test_only_the_camera_whose_outputs_have_a_subscriber_is_subscribed_to(served: ServedNode) -> None:
     front = CameraClient(served, "front")
     rear = CameraClient(served, "rear", is_listening=False)
     served.bring_to("active")

@@ -42,21 +42,23 @@ from yolov5_lifecycle.ros.topics import LABEL_INFO, full_name, published
 # Annotated images
 
 
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_an_image_is_drawn_in_both_forms_with_its_header_and_colours(served: ServedNode, order: str) -> None:
+@pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
+def test_an_image_is_drawn_in_both_forms_with_its_header_and_colours(
+    served: ServedNode, channel_order: str
+) -> None:
     served.bring_to("active")
     camera = CameraClient(served)
     raw, compressed = Viewer(camera), Viewer(camera, "image/compressed", CompressedImage)
     raw.begin()
     compressed.begin()
     colour = (10, 120, 240)
-    shown = image(encoding=f"{order}8")
+    shown = image(encoding=f"{channel_order}8")
     shown.data[:] = type(shown.data)("B", bytes(colour) * (len(shown.data) // 3))
     array = camera.see(shown)
     drawn, jpeg = raw.of(array.header), compressed.of(array.header)
-    assert (drawn.encoding, jpeg.format) == (f"{order}8", f"{order}8; jpeg compressed bgr8")
+    assert (drawn.encoding, jpeg.format) == (f"{channel_order}8", f"{channel_order}8; jpeg compressed bgr8")
     assert image_of_message(drawn).pixels[40, 40].tolist() == list(colour)
-    in_bgr = colour if order == "bgr" else colour[::-1]
+    in_bgr = colour if channel_order == "bgr" else colour[::-1]
     np.testing.assert_allclose(image_of_message(jpeg).pixels[40, 40].astype(int), in_bgr, atol=5)
 
 
@@ -171,7 +173,7 @@ def test_masks_are_computed_only_while_they_have_subscribers(
     served.wait_for(is_detected_without_masks, "the node to compute no masks")
 
 
-def test_an_image_that_is_detected_before_somebody_subscribes_has_no_masks(
+def test_an_image_that_is_detected_before_a_subscriber_joins_has_no_masks(
     camera: CameraClient, prepare: Preparations, model: SegmentingModel
 ) -> None:
     served, entered, release = camera.served, threading.Event(), threading.Event()

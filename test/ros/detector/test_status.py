@@ -358,8 +358,9 @@ def test_the_statuses_of_the_node_and_of_its_cameras_tell_the_same_of_cameras_th
 def test_a_reason_is_logged_when_it_begins_whatever_its_numbers(ros_domain: int) -> None:
     silent = [with_input(silent_s=silent_s) for silent_s in (5.0, 6.0, 17.0, 8.0, 9.0)]
     inactive = replace(GOOD, state="inactive")
+    unnamed = replace(inactive, problem="no weights", namesakes="2 nodes")
     looks = [
-        *((0.0, status) for status in (GOOD, *silent[:3], GOOD, silent[0], BLIND, BLIND)),
+        *((0.0, status) for status in (unnamed, GOOD, *silent[:3], GOOD, silent[0], BLIND, BLIND)),
         *((59.0, status) for status in (silent[1], GOOD)),
         *((120.0, status) for status in (silent[3], inactive, silent[4], with_topic())),
     ]
@@ -373,6 +374,7 @@ def test_a_reason_is_logged_when_it_begins_whatever_its_numbers(ros_domain: int)
             diagnostics.publish()
         observer.wait_for(lambda: "no publisher of images" in str(logged), "the last reason")
     warned, said = 30, 20
-    words = [(warned, "for 5 s"), (said, "No detection in"), (warned, "for 8 s"), (warned, "for 9 s")]
+    words = [(warned, "2 nodes"), (warned, "for 5 s"), (said, "No detection in")]
+    words += [(warned, "for 8 s"), (warned, "for 9 s")]
     for (level, text), (wanted, word) in zip(logged[:-1], words, strict=True):
         assert (level, word in text) == (wanted, True)

@@ -320,8 +320,10 @@ class Diagnostics:
                 status=[diagnostic_status(summary, name) for summary in (of_node, *of_cameras)],
             )
         )
-        detecting = of_cameras or [of_node] if status.state == "active" else []
-        self._log_reasons([of_node] if status.namesakes else detecting)
+        if status.namesakes:
+            self._log_reasons([Summary(NODE_STATUS, WARN, status.namesakes, {})])
+        else:
+            self._log_reasons(of_cameras or [of_node] if status.state == "active" else [])
 
     def _log_reasons(self, summaries: Sequence[Summary]) -> None:
         """Log each reason when it begins, unless it ended less than `_REPEAT_S` before.

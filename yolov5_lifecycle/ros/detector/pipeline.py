@@ -208,7 +208,7 @@ class Outputs:
             raise
 
     def subscribers(self, *, with_depth: bool, with_masks: bool) -> int:
-        """Number of subscriptions that need inference: to all outputs, of these two if there are any."""
+        """Number of subscriptions that need inference: to every output, to these two only if they exist."""
         absent = [] if with_depth else [self.detections_3d]
         absent += [] if with_masks else [self._masks]
         needed = (publisher for publisher in self._publishers if publisher not in absent)
