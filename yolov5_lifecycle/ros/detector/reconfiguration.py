@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import types
 from collections.abc import Generator
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -48,16 +46,9 @@ class Reconfiguration:
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
         return {
-            "describe_parameters": self._describe,
             "set_parameters": self._set_one_by_one,
             "set_parameters_atomically": self._set_together,
         }
-
-    def _describe(self, request: Any, response: Any) -> Any:
-        """Overrides that are not set, too; as with rclpy, nothing if a name is unknown."""
-        with suppress(ParameterNotDeclaredException):
-            response.descriptors = [*map(self.parameters.descriptor, request.names)]
-        return response
 
     async def _set_one_by_one(self, request: Any, response: Any) -> Any:
         asked = [*map(Parameter.from_parameter_msg, request.parameters)]

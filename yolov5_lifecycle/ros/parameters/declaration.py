@@ -1,6 +1,6 @@
 """Parameters of a node and values of its settings: conversion, declaration, descriptors.
 
-Overrides of settings for a camera are declared only while they have a value, but always described.
+Overrides of settings for a camera are declared only while they have a value.
 """
 
 from __future__ import annotations
@@ -87,14 +87,9 @@ def declare_unset(node: Node, setting: Setting) -> None:
 
     In rclpy, only parameters of dynamic type may have no value.
     """
-    node.declare_parameter(setting.name, None, unset_descriptor(setting), ignore_override=True)
-
-
-def unset_descriptor(setting: Setting) -> ParameterDescriptor:
-    """Descriptor of a parameter that may have no value."""
     described = descriptor(setting)
     described.name, described.type, described.dynamic_typing = setting.name, TYPES[setting.type].value, True
-    return described
+    node.declare_parameter(setting.name, None, described, ignore_override=True)
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 
@@ -15,7 +15,6 @@ from yolov5_lifecycle.ros.parameters.declaration import (
     declare,
     declare_unset,
     parameter_of,
-    unset_descriptor,
     value_of,
 )
 from yolov5_lifecycle.ros.rclpy_internals import lifecycle_state, parameter_overrides
@@ -124,12 +123,6 @@ class SettingsParameters:
         """Value of a setting for a camera in `cameras`; see `value`."""
         own = f"{camera}{SEPARATOR}{name}"
         return self.value(own if self._node.has_parameter(own) else name)
-
-    def descriptor(self, name: str) -> ParameterDescriptor:
-        """Also of an override that is not set. Raises ParameterNotDeclaredException for an unknown name."""
-        is_unset = not self._node.has_parameter(name) and SCHEMA.is_known(name, self._current.values)
-        setting = SCHEMA.find(name) if is_unset else None
-        return unset_descriptor(setting) if setting else self._node.describe_parameter(name)
 
     def propose(self, asked: Sequence[Parameter]) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing."""
