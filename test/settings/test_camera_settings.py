@@ -43,7 +43,7 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
         pytest.param(
             ("a" * 65,),
             "at most 64 letters, digits and single underscores that begin with a letter: "
-            f"rename '{'a' * 64}'...",
+            f"rename '{'a' * 65}'.",
             id="long",
         ),
         pytest.param(("front", "rear", "front"), "each camera once: leave out one 'front'", id="repeated"),

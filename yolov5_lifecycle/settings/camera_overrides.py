@@ -18,6 +18,7 @@ from pydantic import BaseModel
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
 from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN, nearest
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
+from yolov5_lifecycle.settings.value_text import shown_value
 
 CAMERAS = "cameras"
 """The setting that names the cameras."""
@@ -164,7 +165,7 @@ def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
         if len(name) > MAX_NAME_LENGTH or not _NAME.fullmatch(name):
             return (
                 f"must be names of at most {MAX_NAME_LENGTH} letters, digits and single underscores that "
-                f"begin with a letter: rename {_shown(name)}."
+                f"begin with a letter: rename {shown_value(name)}."
             )
         if owner := _owner(name, settings):
             return f"must not hold {name!r}, the name of {owner}: rename that camera."
@@ -191,7 +192,3 @@ def _owner(name: str, settings: Collection[str]) -> str:
     if name == NODE_STATUS:
         return "the status of the node in /diagnostics"
     return "a parameter of ROS" if f"{name}{SEPARATOR}".startswith(ROS_PREFIXES) else ""
-
-
-def _shown(name: str) -> str:
-    return repr(name) if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]!r}..."

@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -264,7 +264,7 @@ class Status:
         if self.resident_mb is not None:
             values["resident memory MB"] = f"{self.resident_mb:.0f}"
         if self.settings is not None:
-            values["configuration"] = _digest(self.settings)
+            values["configuration"] = self.settings.digest()
         if self.collected is not None:
             values |= _collected(self.collected)
         return values | (self.model.facts if self.model is not None else {})
@@ -279,11 +279,6 @@ def _collected(status: CollectorStatus) -> dict[str, str]:
         "images in collect_dir": str(status.frames),
         "collect_dir MB": f"{status.megabytes:.1f}",
     }
-
-
-@lru_cache(maxsize=1)  # asked every second; with lists of 10,000 classes it takes long
-def _digest(settings: Settings) -> str:
-    return settings.digest()
 
 
 @dataclass(eq=False)
