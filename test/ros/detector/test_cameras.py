@@ -144,21 +144,21 @@ def test_only_the_camera_whose_outputs_have_a_subscriber_is_subscribed_to(served
     rear.detect()
 
 
-def test_other_cameras_need_another_configure(served: ServedNode) -> None:
-    served.bring_to("active")
-    done, reason = served.set(cameras=["rear", "left"])
-    assert not done
-    assert "ros2 lifecycle set /yolov5 deactivate; then ros2 lifecycle set /yolov5 cleanup" in reason
-    assert served.set(cameras=[*CAMERAS]) == (True, ""), "as a dump of the node does"
-    for cameras in (["rear", "left"], []):
-        assert served.transition("deactivate")
-        assert served.transition("cleanup")
-        assert served.set(cameras=cameras) == (True, "")
-        served.bring_to("active")
-        client = CameraClient(served, cameras[1]) if cameras else CameraClient(served)
-        assert found_by(client) == [["cat"]]
-        assert set(served.statuses()) == {"detection", *cameras}
-        assert not any("/front/" in topic for topic in served_topics(served))
+def test_other_cameras_need_another_configure(prepare: Preparations) -> None:
+    with active(prepare, "qos_overrides./yolov5/front/image_raw.subscription.depth:=2") as served:
+        done, reason = served.set(cameras=["rear", "left"])
+        assert not done
+        assert "ros2 lifecycle set /yolov5 deactivate; then ros2 lifecycle set /yolov5 cleanup" in reason
+        assert served.set(cameras=[*CAMERAS]) == (True, ""), "as a dump of the node does"
+        for cameras in (["rear", "left"], []):
+            assert served.transition("deactivate")
+            assert served.transition("cleanup")
+            assert served.set(cameras=cameras) == (True, "")
+            served.bring_to("active")
+            client = CameraClient(served, cameras[1]) if cameras else CameraClient(served)
+            assert found_by(client) == [["cat"]]
+            assert set(served.statuses()) == {"detection", *cameras}
+            assert not any("/front/" in topic for topic in served_topics(served))
 
 
 LONG = "a" * 64

@@ -128,6 +128,11 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             id="name that no camera can have",
         ),
         pytest.param(
+            {"cameras": ["front", "2nd"], "qos_overrides./yolov5/front/detections.publisher.depth": 1},
+            ["cameras: "],
+            id="quality of a camera that is right",
+        ),
+        pytest.param(
             {"track_high_threshold": 9.0, "track_low_threshold": 0.5},
             ["track_high_threshold: 9.0 is not"],
             id="contradiction that a wrong value leaves undecided",

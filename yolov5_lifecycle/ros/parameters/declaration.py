@@ -88,7 +88,7 @@ def declare_unset(node: Node, setting: Setting) -> None:
     In rclpy, only parameters of dynamic type may have no value.
     """
     described = descriptor(setting)
-    described.name, described.type, described.dynamic_typing = setting.name, TYPES[setting.type].value, True
+    described.dynamic_typing = True
     node.declare_parameter(setting.name, None, described, ignore_override=True)
 
 
