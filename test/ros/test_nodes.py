@@ -79,9 +79,7 @@ def test_a_request_that_cannot_be_taken_is_dropped_and_the_next_one_is_answered(
     executor.shutdown()
 
 
-def test_the_loop_ends_when_somebody_else_shuts_ros_down(
-    node: Node, executor: SingleThreadedExecutor
-) -> None:
+def test_the_loop_ends_when_another_part_shuts_ros_down(node: Node, executor: SingleThreadedExecutor) -> None:
     node.create_timer(0.01, lambda: rclpy.shutdown(context=node.context))
     spin(executor, node, until=lambda: False)
     assert not node.context.ok()

@@ -127,7 +127,6 @@ def test_foreign_text_is_printable_in_answers_log_and_diagnostics(ros_domain: in
         values = served.values()
         assert sum(map(len, values.values())) < 50_000
         shown += [*(reason for _, reason in refused), *served.log, *values, *values.values()]
-        assert served.escaped == []
     assert sum(MARK in text for text in shown) > 9
     assert [found for text in shown if (found := escaped(text))] == []
 

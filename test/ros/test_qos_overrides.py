@@ -21,10 +21,8 @@ from yolov5_lifecycle.ros.topics import (
     full_name,
     published,
     qos_problems,
-    reliability_problems,
     subscribed,
 )
-from yolov5_lifecycle.settings.settings import Settings
 
 PAGE = REPOSITORY / "docs" / "images.md"
 CAMERA = "/camera/image_raw"
@@ -139,11 +137,3 @@ def test_the_setting_and_an_override_cannot_both_say_the_reliability(ros_domain:
         assert served.set(image_transport="compressed") == (True, "")
         compressed = f"{CAMERA}/compressed"
         served.wait_for(lambda: served.client.count_subscribers(compressed) == 1, "the other transport")
-        assert served.escaped == []
-
-
-def test_that_contradiction_is_told_although_topics_are_remapped_to_one(ros_domain: int) -> None:
-    words = [*assignment(f"{CAMERA}.subscription.reliability", "reliable"), "-r", "~/image:=~/masks"]
-    with lone_node("yolov5", *REMAP, *words) as node:
-        (problem,) = reliability_problems(node, Settings(image_reliability="best_effort"))
-    assert "both set the reliability of the subscription" in problem.message

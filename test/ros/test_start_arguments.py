@@ -95,11 +95,9 @@ def test_a_file_that_only_ros_refuses_is_an_error_in_its_words(ros_domain: int, 
 @pytest.mark.parametrize(
     ("first", "second", "told"),
     [
-        pytest.param("device: 0", ["-p", "device:=cpu"], "as integer 0 in .* as string 'cpu'", id="integer"),
-        pytest.param(
-            "classes: [0, 2]", ["-p", 'classes:=["cat"]'], r"given twice, as list \[0, 2\]", id="lists"
-        ),
-        pytest.param("cameras: [front]", ["-p", "cameras:=[]"], "ignores the empty list", id="empty list"),
+        pytest.param("device: 0", ["-p", "device:=cpu"], "as 0 in .* as 'cpu' in -p device", id="integer"),
+        pytest.param("classes: [0, 2]", ["-p", 'classes:=["cat"]'], r"given twice, as \[0, 2\]", id="lists"),
+        pytest.param("cameras: [front]", ["-p", "cameras:=[]"], r"as \[\] in -p", id="empty list"),
         pytest.param("cameras: [front]", ["-p", "cameras:=[rear]"], "", id="lists of one type"),
         pytest.param("cameras: []", ["-p", "cameras:=[rear]"], "", id="strings after an empty list"),
         pytest.param("device: 0", ["-p", "other:device:=cpu"], "", id="another node"),

@@ -43,7 +43,7 @@ def test_cameras_have_names(names: tuple[str, ...]) -> None:
         pytest.param(
             ("a" * 65,),
             "at most 64 letters, digits and single underscores that begin with a letter: "
-            f"rename '{'a' * 64}'...",
+            f"rename '{'a' * 65}'.",
             id="long",
         ),
         pytest.param(("front", "rear", "front"), "each camera once: leave out one 'front'", id="repeated"),
@@ -130,7 +130,7 @@ def test_a_wrong_override_is_refused_with_what_was_meant(values: dict[str, Any],
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        pytest.param("front.max_rate", "add the camera to cameras, which is empty.", id="override"),
+        pytest.param("front.max_rate", "add the camera to cameras, which names none.", id="override"),
         pytest.param("foo.bar", "there is no such parameter.", id="other"),
         pytest.param(
             "class_thresholds.person",

@@ -72,19 +72,6 @@ def test_the_camera_that_was_served_longest_ago_is_next_whoever_offers_first_or_
     assert inference.close(PATIENCE_S)
 
 
-def test_a_frame_above_the_rate_of_its_camera_is_only_counted(line: Line) -> None:
-    line.start(max_rate_hz=10.0)
-    for number in (1, 2):
-        line.feed(number)
-        line.other.feed(number)
-    line.offer(3)
-    line.other.feed(3)
-    line.now_s += 0.1
-    line.feed(4)
-    assert (line.published, line.other.published) == ([1, 2, 4], [1, 2, 3])
-    assert line.counts() == {Outcome.DETECTED: 3, Outcome.SKIPPED: 1}
-
-
 def test_another_rate_applies_from_the_next_frame_and_the_same_one_goes_on(line: Line) -> None:
     line.start(max_rate_hz=0.001)
     line.feed(1)
@@ -261,7 +248,7 @@ def test_images_are_thinned_to_the_limit_if_there_is_one(limit_hz: float) -> Non
     assert burst <= limit_hz / 10 + 2 or limit_hz == 0, "a pause saves up nothing"
 
 
-# Lanes: frames of different cameras at the same time, each in its own network
+# Inference streams: frames of different cameras at the same time, each in its own network
 
 WHOLE, LEFT, RIGHT = "whole", "left", "right"
 

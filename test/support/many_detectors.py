@@ -53,7 +53,7 @@ def _detector(name: str) -> DetectorNode:
     prepare.class_names = CLASS_NAMES  # type: ignore[assignment]
     is_started = str(name == ACTIVE).lower()
     words = ["--ros-args", "-r", f"__node:={name[1:]}", "-p", f"autostart:={is_started}"]
-    return DetectorNode(prepare=prepare, cli_args=words, arguments=words)
+    return DetectorNode(prepare=prepare, cli_args=words)
 
 
 if __name__ == "__main__":

@@ -35,8 +35,6 @@ from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
 from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
-from yolov5_lifecycle.ros.parameters.settings_parameters import Validate
-from yolov5_lifecycle.settings.settings import validated
 
 _SERVICES = {
     "collect": Trigger,
@@ -52,7 +50,10 @@ _SERVICES = {
 
 
 class ServedNode:
-    """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager."""
+    """A `DetectorNode` spun in a thread, and what a client needs to try it; a context manager.
+
+    At its end, no exception may have escaped from a callback of the node.
+    """
 
     def __init__(
         self,
@@ -60,7 +61,6 @@ class ServedNode:
         *,
         parameters: Sequence[str] = (),
         arguments: Sequence[str] = (),
-        validate: Validate = validated,
         rest_timeout_s: float = REST_TIMEOUT_S,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
@@ -72,12 +72,10 @@ class ServedNode:
         words = [*arguments, *(["--ros-args", *assignments] if assignments else [])]
         self.node = DetectorNode(
             prepare=prepare,
-            validate=validate,
             rest_timeout_s=rest_timeout_s,
             diagnostics_period_s=0.1,
             context=self.client.context,
             cli_args=words,
-            arguments=words,
         )
         self._executor = SingleThreadedExecutor(context=self.client.context)
         self._executor.add_node(self.node)
@@ -106,13 +104,14 @@ class ServedNode:
         self._thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, raised: type[BaseException] | None, *_: object) -> None:
         self._stopping = True
         self._thread.join(PATIENCE_S)
         assert not self._thread.is_alive(), "a callback of the node hangs: destroying the node would crash"
         self.node.close()
         self._executor.shutdown()  # else the garbage collector does, and raises if it takes its parts first
         self.client.close()
+        assert raised or self.escaped == []
 
     def _serve(self) -> None:
         while not self._stopping:

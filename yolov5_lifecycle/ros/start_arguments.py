@@ -118,24 +118,11 @@ def _clashes(words: Sequence[str], files: Mapping[str, Nodes]) -> Iterator[str]:
         before, where = first.setdefault((node, name), (value, place))
         if before == [] and isinstance(value, list):
             first[node, name] = value, place
-        elif value == [] and isinstance(before, list):
-            yield in_one_line(
-                f"{name}: ROS ignores the empty list in {place}, because {where} has {shown_value(before)}: "
-                "remove that value and restart the node."
-            )
         elif kind(value) != kind(before):
             yield in_one_line(
-                f"{name}: is given twice, as {_kind_of(before)} in {where} and as {_kind_of(value)} in "
+                f"{name}: is given twice, as {shown_value(before)} in {where} and as {shown_value(value)} in "
                 f"{place}; ROS picks one. Remove one, or give both the same type, and restart the node."
             )
-
-
-def _kind_of(value: Value) -> str:
-    """`value` and its type in words, such as `integer 0`."""
-    if isinstance(value, list):
-        return f"list {shown_value(value)}"
-    words = {bool: "boolean", int: "integer", float: "number", str: "string"}
-    return f"{words[type(value)]} {shown_value(value)}"
 
 
 def _assignments(words: Sequence[str], files: Mapping[str, Nodes]) -> Iterator[tuple[str, str, Value, str]]:

@@ -5,7 +5,7 @@ An override is a parameter such as `qos_overrides.TOPIC.publisher.POLICY`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from typing import Literal
 
@@ -104,11 +104,8 @@ def full_name(node: Node, topic: str) -> str:
     return str(node.resolve_topic_name(endpoint_name(node, topic)))
 
 
-def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = False) -> list[Problem]:
-    """QoS overrides that are invalid or match no topic of `node` with these `cameras`.
-
-    Fixing them needs a restart, unless `cameras` lacks a camera: `are_undecided`.
-    """
+def qos_problems(node: Node, cameras: Sequence[str]) -> list[Problem]:
+    """QoS overrides that are invalid or match no topic of `node` with these `cameras`."""
     topics: dict[Kind, list[str]] = {"publisher": published(cameras), "subscription": subscribed(cameras)}
     policy_of = {
         _name(node, topic, kind, policy): policy
@@ -119,7 +116,7 @@ def qos_problems(node: Node, cameras: Sequence[str], *, are_undecided: bool = Fa
     problems = []
     for name, override in parameter_overrides(node).items():
         if name not in policy_of and name.startswith(QOS_PREFIX):
-            problems.append(Problem(name, _unknown(name, policy_of, are_undecided)))
+            problems.append(Problem(name, _unknown(name, policy_of)))
         elif name in policy_of and (rule := _broken_rule(policy_of[name], override)):
             problems.append(Problem(name, f"{value_text(override.value)} is not {rule} {_REMEDY}"))
     return problems
@@ -167,12 +164,10 @@ def _name(node: Node, topic: str, kind: Kind, policy: str) -> str:
     return f"{QOS_PREFIX}{full_name(node, topic)}.{kind}.{policy}"
 
 
-def _unknown(name: str, known: dict[str, str], are_undecided: bool) -> str:
-    endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
-    if are_undecided and name.removeprefix(QOS_PREFIX).rpartition(".")[0] not in endpoints:
-        return "correct cameras first: none of its valid cameras has such a topic."
+def _unknown(name: str, known: Collection[str]) -> str:
     hint = did_you_mean(name, known)
     if not hint:
+        endpoints = dict.fromkeys(other.removeprefix(QOS_PREFIX).rpartition(".")[0] for other in known)
         hint = f" Expected one of {', '.join(endpoints)}, each with {', '.join(_POLICIES)}."
     return f"this node has no such topic or policy.{hint} {_REMEDY}"
 

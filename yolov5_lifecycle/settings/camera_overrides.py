@@ -16,8 +16,9 @@ from typing import TypeVar
 from pydantic import BaseModel
 
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, Schema, Setting, SettingsError
-from yolov5_lifecycle.settings.suggestion import nearest
+from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN, nearest
 from yolov5_lifecycle.settings.synonyms import ROS_PREFIXES
+from yolov5_lifecycle.settings.value_text import shown_value
 
 CAMERAS = "cameras"
 """The setting that names the cameras."""
@@ -64,10 +65,9 @@ class OverridableSchema(Schema[Model]):
         strays = [name for name in dotted if name not in given]
         overrides, of_cameras = self._of_cameras(own, given)
         settings, of_node = self._attempt(own, overrides)
-        if any(problem.setting == CAMERAS for problem in of_node):
-            of_strays = self._while_cameras_are_wrong({name: dotted[name] for name in strays})
-        else:
-            of_strays = self.all_unknown(strays, values)
+        of_strays = self.all_unknown(strays, values)
+        overriding = [name for name in strays if self._inherited(name)][:MAX_UNKNOWN]
+        of_strays += filter(None, (self.problem(name, dotted[name]) for name in overriding))
         inherited = {f"{camera}{SEPARATOR}{problem}" for camera in _cameras(values) for problem in of_node}
         of_cameras = [each for each in of_cameras if each.setting in given or str(each) not in inherited]
         if settings is None or of_node or of_cameras or of_strays:
@@ -109,16 +109,8 @@ class OverridableSchema(Schema[Model]):
             return f"{name} is a camera; its settings have names such as {name}{SEPARATOR}{example}."
         if self._inherited(name) is None or (cameras and nearest(camera, cameras)):
             return ""
-        present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "is empty"
+        present = f"has {', '.join(name[:MAX_NAME_LENGTH] for name in cameras)}" if cameras else "names none"
         return f"add the camera to {CAMERAS}, which {present}."
-
-    def _while_cameras_are_wrong(self, strays: Mapping[str, object]) -> list[Problem]:
-        """The problems of overrides whose camera the corrected `cameras` may hold, whatever it is called."""
-        waiting = [name for name in strays if self._inherited(name)]
-        told = [Problem(name, f"add {camera_of(name)} when you correct {CAMERAS}.") for name in waiting]
-        told += filter(None, (self.problem(name, strays[name]) for name in waiting))
-        unknown = [name for name in strays if not self._inherited(name)]
-        return told + self.all_unknown(unknown, {CAMERAS: [*dict.fromkeys(map(camera_of, unknown))]})
 
     def _inherited(self, name: str) -> Setting | None:
         """The setting of the node that the override `name` replaces; None if its camera cannot exist."""
@@ -173,7 +165,7 @@ def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:
         if len(name) > MAX_NAME_LENGTH or not _NAME.fullmatch(name):
             return (
                 f"must be names of at most {MAX_NAME_LENGTH} letters, digits and single underscores that "
-                f"begin with a letter: rename {_shown(name)}."
+                f"begin with a letter: rename {shown_value(name)}."
             )
         if owner := _owner(name, settings):
             return f"must not hold {name!r}, the name of {owner}: rename that camera."
@@ -200,7 +192,3 @@ def _owner(name: str, settings: Collection[str]) -> str:
     if name == NODE_STATUS:
         return "the status of the node in /diagnostics"
     return "a parameter of ROS" if f"{name}{SEPARATOR}".startswith(ROS_PREFIXES) else ""
-
-
-def _shown(name: str) -> str:
-    return repr(name) if len(name) <= MAX_NAME_LENGTH else f"{name[:MAX_NAME_LENGTH]!r}..."

@@ -111,7 +111,7 @@ def test_collecting_needs_a_folder_that_the_start_names(tmp_path: Path) -> None:
         assert reason.startswith("collect_dir: read-only")
 
 
-def test_an_image_is_kept_when_somebody_asks_for_it_and_without_any_subscriber(tmp_path: Path) -> None:
+def test_an_image_is_kept_on_request_and_without_any_subscriber(tmp_path: Path) -> None:
     with served_with(tmp_path, "collect_min_free_mb:=0") as served:
         served.bring_to("active")
         assert ask(served) == (False, "no camera collects: activate the node, and set collect to true")

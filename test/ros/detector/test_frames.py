@@ -103,4 +103,3 @@ def test_the_subscription_takes_the_reliability_that_all_cameras_offer_unless_an
         assert served.values()["best score in them"] == "0.9"
         assert served.set(image_transport="compressed") == (True, "")
         assert served.values()["image topic"] == "/front/image/compressed"
-    assert served.escaped == []

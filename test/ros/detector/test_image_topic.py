@@ -59,26 +59,6 @@ def test_configure_refuses_topics_that_are_remapped_to_one_and_tells_wrong_qos_o
         assert status.level == DiagnosticStatus.ERROR
         assert f"{told} are remapped to the same topic" in status.message
         assert "qos_overrides.x.y: this node has no such topic or policy." in status.message
-    assert served.escaped == []
-
-
-def test_a_subscription_that_the_middleware_refuses_is_an_error_until_it_succeeds(
-    prepare: Preparations,
-) -> None:
-    """Fast DDS has one type for a topic in one process, and the client is in the node's."""
-    with ServedNode(prepare, parameters=["lazy:=false"]) as served:
-        served.bring_to("active")
-        other = served.client.create_publisher(String, "/yolov5/image_raw/compressed", 1)
-        assert served.set(image_transport="compressed") == (True, "")
-        status = served.status()
-        assert status.level == DiagnosticStatus.ERROR
-        assert "cannot subscribe to /yolov5/image_raw/compressed: " in status.message
-        served.wait_for_log("cannot subscribe to /yolov5/image_raw/compressed: ")
-        assert served.state() == "active"
-        served.client.destroy_publisher(other)
-        served.wait_for(lambda: served.status().level != DiagnosticStatus.ERROR, "the subscription")
-        assert sum("cannot subscribe" in said for said in served.log) == 1
-    assert served.escaped == []
 
 
 def test_an_idle_node_names_its_topic_and_the_one_that_was_meant(prepare: Preparations) -> None:

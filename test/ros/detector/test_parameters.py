@@ -24,20 +24,6 @@ from yolov5_lifecycle.settings.settings import SETTINGS
 # At the start
 
 
-def test_a_bad_override_fails_configure_until_it_is_corrected_or_deleted(prepare: Preparations) -> None:
-    deletion = ParameterMessage(name="colour")
-    with ServedNode(prepare, parameters=["colour:=red", "confidence_threshold:=1.5"]) as served:
-        assert not served.transition("configure")
-        for name in ("colour", "confidence_threshold"):
-            assert name in served.status().message
-        assert not served.set_messages([deletion, *messages_of(confidence_threshold=7.0)])[0]
-        assert not served.transition("configure")
-        assert served.set_messages([deletion, *messages_of(confidence_threshold=0.7)]) == (True, "")
-        assert served.get("confidence_threshold") == 0.7
-        assert served.transition("configure")
-    assert served.escaped == []
-
-
 def test_an_override_is_taken_as_it_is_meant(prepare: Preparations) -> None:
     parameters = ("confidence_threshold:=1", "device:=0", "classes:=[0, 1]", "regions:=[]", "model_size:=n")
     meant: tuple[object, ...] = (1.0, "0", ["0", "1"], [], "n")  # YAML takes n for no
@@ -131,7 +117,6 @@ def test_a_change_takes_effect_with_the_next_image_and_a_wrong_one_changes_nothi
             assert reason in told, values
         assert {setting.name: served.get(setting.name) for setting in SETTINGS} == before
         served.detect()
-    assert served.escaped == []
 
 
 def test_a_camera_may_have_its_own_regions_which_hold_in_space_as_well(prepare: Preparations) -> None:
@@ -150,7 +135,6 @@ def test_a_camera_may_have_its_own_regions_which_hold_in_space_as_well(prepare: 
         done, reason = served.set(**{"front.regions": ["0,0"]})
         assert not done
         assert reason.startswith("front.regions: ['0,0'] must be polygons, but entry 1 has 1 points")
-    assert served.escaped == []
 
 
 def test_masks_number_what_counts_and_the_annotated_image_shows_the_regions(prepare: Preparations) -> None:
@@ -174,4 +158,3 @@ def test_masks_number_what_counts_and_the_annotated_image_shows_the_regions(prep
         draw_regions(expected, BoxFilter(ignore_regions=(ignored,)), line_px=1)
         np.testing.assert_array_equal(seen[:20], expected[:20])
         assert (expected[:20] != 114).any()
-    assert served.escaped == []

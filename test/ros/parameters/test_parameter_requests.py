@@ -13,6 +13,7 @@ from support.preparations import Preparations
 from support.served_node import ServedNode, class_ids_of, messages_of
 
 from yolov5_lifecycle.ros.detector.session import Session
+from yolov5_lifecycle.ros.parameters import settings_parameters
 from yolov5_lifecycle.ros.services import MAX_ITEMS, MAX_REASON
 from yolov5_lifecycle.settings.settings import Settings, validated
 
@@ -24,7 +25,7 @@ def unknown(count: int) -> list[ParameterMessage]:
 
 
 def test_a_change_is_validated_once_and_many_bad_values_once_for_each_and_once_together(
-    prepare: Preparations,
+    served: ServedNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Mapping[str, object]] = []
 
@@ -32,20 +33,19 @@ def test_a_change_is_validated_once_and_many_bad_values_once_for_each_and_once_t
         seen.append(values)
         return validated(values)
 
-    with ServedNode(prepare, validate=validate) as served:
-        assert served.set(cameras=["front", "rear"]) == (True, "")
-        served.bring_to("active")
-        seen.clear()
-        (result,) = served.set_one_by_one(messages_of(confidence_threshold=0.5))
-        assert result.successful
-        assert served.set(**{"front.max_rate": 2.0, "rear.lazy": False}) == (True, "")
-        assert served.set(**{"front.max_rate": None}) == (True, "")
-        assert served.set(image_size=320, confidence_threshold=0.5) == (True, "")
-        assert len(seen) == 4
-        results = served.set_one_by_one(messages_of(max_rate=-1.0) * 100)
-        assert [result.successful for result in results] == [False] * 100
-        assert len(seen) - 4 <= 101
-    assert served.escaped == []
+    monkeypatch.setattr(settings_parameters, "validated", validate)
+    assert served.set(cameras=["front", "rear"]) == (True, "")
+    served.bring_to("active")
+    seen.clear()
+    (result,) = served.set_one_by_one(messages_of(confidence_threshold=0.5))
+    assert result.successful
+    assert served.set(**{"front.max_rate": 2.0, "rear.lazy": False}) == (True, "")
+    assert served.set(**{"front.max_rate": None}) == (True, "")
+    assert served.set(image_size=320, confidence_threshold=0.5) == (True, "")
+    assert len(seen) == 4
+    results = served.set_one_by_one(messages_of(max_rate=-1.0) * 100)
+    assert [result.successful for result in results] == [False] * 100
+    assert len(seen) - 4 <= 101
 
 
 def test_a_request_with_too_many_parameters_is_refused_as_a_whole(served: ServedNode) -> None:
@@ -95,49 +95,43 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(
 # Reloads
 
 
-def test_of_many_concurrent_reloads_the_first_and_the_last_are_carried_out(
+def test_while_a_model_is_loaded_frames_are_detected_and_another_model_is_refused(
     served: ServedNode, prepare: Preparations
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
     prepared = len(prepare.sizes_hw)
-    asked: list[dict[str, object]] = [{"image_size": 320 + 32 * step} for step in range(7)]
-    asked.append({"weights": "/other.pt"})
-    changes = []
-    for count, values in enumerate(asked):
-        changes.append(served.begin_set(**values))
-        if count == 0:
-            served.wait_for(lambda: len(prepare.sizes_hw) == prepared + 1, "the first to begin")
-        if count > 1:
-            served.wait_for(changes[count - 1].done, "the one before to be superseded")
+    reload = served.begin_set(image_size=320)
+    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the reload to begin")
+    done, reason = served.set(image_size=352)
+    assert not done
+    assert reason.startswith("another model is being loaded: set this again once that has been answered")
+    assert served.set(confidence_threshold=0.5) == (True, "")
+    assert class_ids_of(served.detect()) == ["cat"]
+    assert (served.state(), served.get("image_size"), reload.done()) == ("active", 640, False)
     prepare.gate.set()
-    served.wait_for(lambda: all(change.done() for change in changes), "every answer")
-    results = [change.result().result for change in changes]
-    assert [result.successful for result in results] == [True, *[False] * 6, True]
-    assert all("superseded by a later request" in result.reason for result in results[1:-1])
-    assert len(prepare.sizes_hw) == prepared + 2
-    assert (served.get("image_size"), served.get("weights")) == (320, "/other.pt")
-    used = served.node._settings.settings()
-    assert (used.image_size, used.weights) == (320, "/other.pt")
+    served.wait_for(reload.done, "the answer")
+    assert reload.result().result.successful
+    settings = served.node._settings.settings()
+    assert (settings.image_size, settings.confidence_threshold) == (320, 0.5)
+    assert served.set(image_size=352) == (True, "")
     assert [runtime.is_closed for runtime in prepare.runtimes] == [True, True, False]
 
 
 @pytest.mark.parametrize("label", ["deactivate", "shutdown"])
-def test_leaving_active_wins_over_reloads_and_the_next_one_is_carried_out(
+def test_leaving_active_wins_over_a_reload_and_the_next_one_is_carried_out(
     served: ServedNode, prepare: Preparations, label: str
 ) -> None:
     served.bring_to("active")
     prepare.gate.clear()
     prepared = len(prepare.sizes_hw)
-    changes = [served.begin_set(image_size=size) for size in (320, 352)]
-    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the first to begin")
-    assert served.set(lazy=False) == (True, ""), "after the second, which waits"
+    reload = served.begin_set(image_size=320)
+    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the reload to begin")
     assert served.transition(label)
     prepare.gate.set()
-    served.wait_for(lambda: all(change.done() for change in changes), "both answers")
-    for result in (change.result().result for change in changes):
-        assert not result.successful
-        assert "left the active state" in result.reason
+    served.wait_for(reload.done, "the answer")
+    assert not reload.result().result.successful
+    assert "left the active state" in reload.result().result.reason
     assert served.get("image_size") == 640
     assert all(runtime.is_closed for runtime in prepare.runtimes)
     if label == "deactivate":

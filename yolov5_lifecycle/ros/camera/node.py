@@ -43,7 +43,7 @@ class CameraNode(PrintableNode):
 
     def __init__(self) -> None:
         super().__init__("camera")
-        values, _ = declare(self, SCHEMA)
+        values = declare(self, SCHEMA)
         self._settings = SCHEMA.validated(values)
         self._outputs = CameraOutputs(self, self._settings)
         check_qos_overrides(self)

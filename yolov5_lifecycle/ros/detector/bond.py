@@ -22,12 +22,6 @@ _HEARTBEATS_IN_TIMEOUT = 4
 _DELIVERY_S = 0.1  # bondcpp waits this long, too, for the other side to receive the end of the bond
 
 
-def check_bond(timeout_s: float) -> None:
-    """Raise ValueError with the remedy if `timeout_s` is not 0 and the bond messages are not installed."""
-    if timeout_s:
-        _status_type(timeout_s)
-
-
 class Bond:
     """This side of one bond: publishes heartbeats of `node` on the topic `bond`, several per `timeout_s`.
 
@@ -35,7 +29,7 @@ class Bond:
     """
 
     def __init__(self, node: Node, timeout_s: float) -> None:
-        self._status_type = _status_type(timeout_s)
+        self._status_type = status_type(timeout_s)
         self._node = node
         self._timeout_s = timeout_s
         self._period_s = max(_SHORTEST_HEARTBEAT_S, min(_HEARTBEAT_S, timeout_s / _HEARTBEATS_IN_TIMEOUT))
@@ -65,7 +59,7 @@ class Bond:
         self._publisher.publish(message)
 
 
-def _status_type(timeout_s: float) -> Any:
+def status_type(timeout_s: float) -> Any:
     """Import bond/msg/Status, which only a bond needs; raise ValueError with the remedy."""
     try:
         from bond.msg import Status

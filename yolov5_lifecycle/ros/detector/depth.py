@@ -68,9 +68,8 @@ class DepthInput:
     """Owns the subscriptions to depth images and camera_info while depth is needed, and places detections in
     space with the newest ones.
 
-    `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. If a subscription cannot be created, 2D
-    detection continues; every `update` retries. An unusable message is rejected with a throttled warning, and
-    the previous ones are kept.
+    `camera`: see `of_camera`. `slop_s` is the setting `depth_slop_s`. An unusable message is rejected with a
+    throttled warning, and the previous ones are kept.
 
     `expect` and `place` are called in the inference thread, the rest in the executor. `clock` returns
     monotonic seconds.
@@ -119,8 +118,6 @@ class DepthInput:
     def hint(self) -> str:
         """Why nothing is published on ~/detections_3d; "" if there is no reason, or while nobody needs it."""
         for subscription, what in zip(self._subscriptions, ("depth images", "its camera_info"), strict=False):
-            if subscription.problem:
-                return f"{subscription.problem}: {_NO_PLACE}"
             source = subscription.topic.look()
             if source.publishers == 0 and source.missing_s > DISCOVERY_S:
                 where, remedy = "", "start the depth camera, remap the topic or set depth to false"

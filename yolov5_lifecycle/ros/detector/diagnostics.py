@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -41,7 +41,9 @@ SLOW_S = 2.0
 _MAX_VALUE = 5_000
 """Max characters of one value; a path has up to 4096."""
 _REPEAT_S = 60.0
-"""A recurring reason is logged at most once in this time."""
+"""A reason that recurs within this time is not logged again."""
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+DETECTING = "detecting"
 _REMEDIES = {
     "unconfigured": ": configure and activate the node to detect",
     "inactive": ": activate the node to detect",
@@ -57,11 +59,6 @@ class CameraStatus:
 
     camera: DetectorCamera
     topic: TopicStatus
-
-    @property
-    def problem(self) -> str:
-        """Why the camera cannot be subscribed to, "" if it can."""
-        return self.camera.active.input.problem if self.camera.active else ""
 
     @property
     def hint(self) -> str:
@@ -98,7 +95,7 @@ class CameraStatus:
     def remark(self) -> str:
         """Why the camera of an active node has no output although nothing is wrong; else ""."""
         active, outputs, name = self.camera.active, self.camera.outputs, self.camera.name
-        if active is None or outputs is None or self.problem:
+        if active is None or outputs is None:
             return ""
         if outputs.subscribers_3d and active.depth is None:
             topic = of_camera(DETECTIONS_3D, name)
@@ -121,7 +118,7 @@ class CameraStatus:
     def values(self) -> dict[str, str]:
         """All values as strings, for diagnostics."""
         camera = self.camera
-        values = {"last problem": self.problem or camera.last_problem[0]} if camera.name else {}
+        values = {"last problem": camera.last_problem[0]} if camera.name else {}
         values |= {f"frames {name}": str(count) for name, count in camera.counter.balance().items()}
         values |= {"image topic": self.topic.name, "image publishers": str(self.topic.publishers)}
         values["other topics with images"] = ", ".join(self.topic.similar)
@@ -200,22 +197,13 @@ def _losses(received: ImageInput) -> str:
 
 @dataclass(frozen=True)
 class Summary:
-    """Content of one DiagnosticStatus.
-
-    A `problem` makes it an error, a `hint` a warning; a `remark` explains why there is no output although
-    nothing is wrong.
-    """
+    """Content of one DiagnosticStatus: ERROR with a problem, WARN with a hint, else OK."""
 
     name: str
-    problem: str
-    hint: str
-    remark: str
+    level: bytes
+    message: str
+    """In one line: the problem, the hint, why there is no output although nothing is wrong, or DETECTING."""
     values: dict[str, str]
-
-    @property
-    def message(self) -> str:
-        """One-line human-readable summary."""
-        return self.problem or self.hint or self.remark or "detecting"
 
 
 @dataclass(frozen=True)
@@ -241,17 +229,20 @@ class Status:
 
     @property
     def of_node(self) -> Summary:
-        """Summary of the node: all values of its only camera, or the first problem of several cameras."""
-        problem, hint, remark, values = self.problem, "", self._inactivity, dict[str, str]()
+        """Summary of the node: all values of its only camera, or the first hint of several cameras."""
+        level, message, values = OK, self._inactivity or DETECTING, dict[str, str]()
         if each := self.of_cameras:
-            problems = [f"{camera.name}: {camera.problem}" for camera in each if camera.problem]
-            hints = [f"{camera.name}: {camera.hint}" for camera in each if camera.hint]
-            hint = next(iter(problems + hints), "")
             values = {"cameras": ", ".join(camera.name for camera in each)}
+            if warned := next((camera for camera in each if camera.level == WARN), None):
+                level, message = WARN, f"{warned.name}: {warned.message}"
         elif self.cameras:
             one = self._summary(self.cameras[0])
-            problem, hint, remark, values = self.problem or one.problem, one.hint, one.remark, one.values
-        return Summary(NODE_STATUS, problem, self.namesakes or hint, remark, self._values(problem) | values)
+            level, message, values = one.level, one.message, one.values
+        if self.namesakes:
+            level, message = WARN, self.namesakes
+        if self.problem:
+            level, message = ERROR, self.problem
+        return Summary(NODE_STATUS, level, message, self._values() | values)
 
     @cached_property  # a camera goes on meanwhile, and all of a message tells the same
     def of_cameras(self) -> list[Summary]:
@@ -259,20 +250,21 @@ class Status:
         return [self._summary(status) for status in self.cameras if status.camera.name]
 
     def _summary(self, status: CameraStatus) -> Summary:
-        hint, remark = (status.hint, status.remark) if self.state == "active" else ("", self._inactivity)
-        return Summary(status.camera.name, status.problem, hint, remark, status.values())
+        hint = status.hint if self.state == "active" else ""
+        message = hint or self._inactivity or status.remark or DETECTING
+        return Summary(status.camera.name, WARN if hint else OK, message, status.values())
 
     @property
     def _inactivity(self) -> str:
         return "" if self.state == "active" else self.state + _REMEDIES.get(self.state, "")
 
-    def _values(self, problem: str) -> dict[str, str]:
-        values = {"state": self.state, "last problem": problem}
+    def _values(self) -> dict[str, str]:
+        values = {"state": self.state, "last problem": self.problem}
         values["abandoned threads"] = str(self.abandoned_threads)
         if self.resident_mb is not None:
             values["resident memory MB"] = f"{self.resident_mb:.0f}"
         if self.settings is not None:
-            values["configuration"] = _digest(self.settings)
+            values["configuration"] = self.settings.digest()
         if self.collected is not None:
             values |= _collected(self.collected)
         return values | (self.model.facts if self.model is not None else {})
@@ -289,11 +281,6 @@ def _collected(status: CollectorStatus) -> dict[str, str]:
     }
 
 
-@lru_cache(maxsize=1)  # asked every second; with lists of 10,000 classes it takes long
-def _digest(settings: Settings) -> str:
-    return settings.digest()
-
-
 @dataclass(eq=False)
 class Diagnostics:
     """Publishes `status()` every `period_s`; logs namesakes, and why an active node has no output.
@@ -308,9 +295,8 @@ class Diagnostics:
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
-        self._reasons: dict[str, str] = {}
-        """Without numbers, of the last summaries by name."""
-        self._logged_s: dict[tuple[str, str], float] = {}
+        self._seen_s: dict[tuple[str, str], float] = {}
+        """When each message, without numbers, of a name was last seen."""
         self._publisher = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # Steady time: simulated time may be paused (use_sim_time without /clock).
         self._timer = self.node.create_timer(
@@ -329,42 +315,37 @@ class Diagnostics:
                 status=[diagnostic_status(summary, name) for summary in (of_node, *of_cameras)],
             )
         )
-        detecting = of_cameras or [of_node] if status.state == "active" else []
-        self._log_reasons([of_node] if status.namesakes else detecting)
+        if status.namesakes:
+            self._log_reasons([Summary(NODE_STATUS, WARN, status.namesakes, {})])
+        else:
+            self._log_reasons(of_cameras or [of_node] if status.state == "active" else [])
 
     def _log_reasons(self, summaries: Sequence[Summary]) -> None:
-        """Log each reason when it appears, and when it recurs after `_REPEAT_S`.
+        """Log each reason when it begins, unless it ended less than `_REPEAT_S` before.
 
         A text in which only numbers changed is the same reason.
         """
-        log, now_s, before = self.node.get_logger(), self.clock(), self._reasons
-        self._reasons = {each.name: re.sub(r"[\d.]+", "", each.hint or each.remark) for each in summaries}
-        self._logged_s = {
-            key: at_s
-            for key, at_s in self._logged_s.items()
-            if key[0] in self._reasons and now_s - at_s < _REPEAT_S
+        log, now_s, names = self.node.get_logger(), self.clock(), {each.name for each in summaries}
+        self._seen_s = {
+            seen: at_s for seen, at_s in self._seen_s.items() if seen[0] in names and now_s - at_s < _REPEAT_S
         }
         for each in summaries:
-            key = each.name, self._reasons[each.name]
-            if key[1] in ("", before.get(each.name, "")) or key in self._logged_s:
-                continue
-            self._logged_s[key] = now_s
+            seen = each.name, re.sub(r"[\d.]+", "", each.message)
             whose = "" if each.name in ("", NODE_STATUS) else f"{each.name}: "
-            if each.hint:
-                log.warning(f"{whose}{each.hint}")
-            else:
-                log.info(f"{whose}{each.remark}")
+            if seen not in self._seen_s and each.level == WARN:
+                log.warning(f"{whose}{each.message}")
+            elif seen not in self._seen_s and each.level == OK and each.message != DETECTING:
+                log.info(f"{whose}{each.message}")
+            self._seen_s[seen] = now_s
 
 
 def diagnostic_status(summary: Summary, node_name: str) -> DiagnosticStatus:
-    """Convert `summary` to a DiagnosticStatus: ERROR with a problem, WARN with a hint, else OK."""
-    level = DiagnosticStatus.WARN if summary.hint else DiagnosticStatus.OK
+    """Convert `summary` to a DiagnosticStatus."""
+    values = [KeyValue(key=key, value=in_lines(value, _MAX_VALUE)) for key, value in summary.values.items()]
     return DiagnosticStatus(
-        level=DiagnosticStatus.ERROR if summary.problem else level,
+        level=summary.level,
         name=f"{node_name}: {summary.name}",
         message=in_lines(summary.message, _MAX_VALUE),
         hardware_id=node_name,
-        values=[
-            KeyValue(key=key, value=in_lines(value, _MAX_VALUE)) for key, value in summary.values.items()
-        ],
+        values=values,
     )

@@ -15,7 +15,6 @@ from rclpy.event_handler import QoSMessageLostInfo, QoSSubscriptionMatchedInfo, 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
 
-from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import CameraTopic
 from yolov5_lifecycle.ros.topics import endpoint_name, overridden_reliability, overriding_options
 
@@ -24,11 +23,6 @@ Reliability = Literal["auto", "best_effort", "reliable"]
 
 WINDOW_S = 5.0
 """Window over which recent losses are counted, in seconds."""
-_POLICIES = {
-    "auto": None,
-    "best_effort": ReliabilityPolicy.BEST_EFFORT,
-    "reliable": ReliabilityPolicy.RELIABLE,
-}
 
 
 @dataclass(eq=False)
@@ -39,8 +33,7 @@ class Subscription:
     `takes_latched` the durability follows the publishers as well, so that messages latched earlier are
     received; without, it is volatile.
 
-    If the subscription cannot be created, this is logged and stays in `problem`, with `consequence` at its
-    end; every `follow` retries.
+    Raises rclpy's exception if the subscription cannot be created; every `follow` retries.
     """
 
     topic: CameraTopic
@@ -50,23 +43,30 @@ class Subscription:
     reliability: ReliabilityPolicy | None = None
     takes_latched: bool = False
     events: SubscriptionEventCallbacks | None = None
-    consequence: str = ""
 
     def __post_init__(self) -> None:
         overridden = overridden_reliability(self.topic.node, self.topic.local_name)
         # Not `or`: system_default is 0, thus falsy.
         self._decided = self.reliability if overridden is None else overridden
         self._subscription: Any = None
-        self.problem = ""
         self.qos = self._wanted(())
 
     def follow(self) -> None:
         """Subscribe again if the publishers in the ROS graph require it."""
         wanted = self._wanted(self.topic.look().offers)
-        if self._subscription is None or wanted != self.qos:
-            self.close()
-            self.qos = wanted
-            self._subscribe()
+        if self._subscription is not None and wanted == self.qos:
+            return
+        self.close()
+        self.qos = wanted
+        topic, node = self.topic, self.topic.node
+        self._subscription = node.create_subscription(
+            topic.message_type,
+            endpoint_name(node, topic.local_name),
+            self.take,
+            copy(wanted),  # which rclpy changes where there are overrides
+            event_callbacks=self.events,
+            qos_overriding_options=overriding_options(node, topic.local_name, "subscription"),
+        )
 
     def close(self) -> None:
         """Receive no more messages until the next `follow`."""
@@ -83,24 +83,6 @@ class Subscription:
             durabilities = [offer.durability for offer in offers]
             durability = _common(durabilities, DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE)
         return QoSProfile(depth=self.depth, reliability=reliability, durability=durability)
-
-    def _subscribe(self) -> None:
-        topic, node, told = self.topic, self.topic.node, self.problem
-        self.problem = ""
-        try:
-            self._subscription = node.create_subscription(
-                topic.message_type,
-                endpoint_name(node, topic.local_name),
-                self.take,
-                copy(self.qos),  # which rclpy changes where there are overrides
-                event_callbacks=self.events,
-                qos_overriding_options=overriding_options(node, topic.local_name, "subscription"),
-            )
-        except Exception as error:  # noqa: BLE001 - rclpy raises several types; reported and retried
-            name, reason = in_one_line(topic.name), in_one_line(str(error))
-            self.problem = f"cannot subscribe to {name}: {reason}{self.consequence}"
-            if self.problem != told:
-                node.get_logger().error(self.problem)
 
 
 def _common(offers: Sequence[Policy], strict: Policy, lenient: Policy) -> Policy:
@@ -181,15 +163,13 @@ class ImageLosses:
         self._begun_ns = begin_ns
         self._last_number = None
         self._gaps = 0
-        self._lost_before = self.lost
 
 
 class ImageInput:
     """Receives the images of a camera while they are needed: keep last 1, reliability as requested or as the
     publishers offer.
 
-    `qos_overrides` of the topic take precedence over both. `losses` counts images sent but never taken. See
-    `Subscription` for what happens if it cannot be created.
+    `qos_overrides` of the topic take precedence over both. `losses` counts images sent but never taken.
     """
 
     def __init__(self, on_frame: Callable[[ReceivedFrame], None]) -> None:
@@ -202,11 +182,6 @@ class ImageInput:
         """Images, and the max size of one in bytes, since the subscription to the topic."""
         self._samples: deque[tuple[float, int, int]] = deque()
         """Time in s, images received, images lost: one per call of `update` within the window."""
-
-    @property
-    def problem(self) -> str:
-        """Why there is no subscription although images are needed, else ""."""
-        return self._subscription.problem if self._subscription else ""
 
     def follow(self, topic: CameraTopic | None, reliability: Reliability) -> None:
         """Receive the images of `topic` from now on; with None no more."""
@@ -235,7 +210,7 @@ class ImageInput:
     @property
     def reliability(self) -> ReliabilityPolicy | None:
         """That of the subscription, None without one."""
-        return self._subscription.qos.reliability if self._subscription and not self.problem else None
+        return self._subscription.qos.reliability if self._subscription else None
 
     @property
     def silent_s(self) -> float:
@@ -256,9 +231,8 @@ class ImageInput:
             topic,
             self._take,
             depth=1,
-            reliability=_POLICIES[self._reliability],
+            reliability=None if self._reliability == "auto" else ReliabilityPolicy[self._reliability.upper()],
             events=SubscriptionEventCallbacks(message_lost=self._lose, matched=partial(self._match, topic)),
-            consequence=". Nothing is detected meanwhile; retrying every second",
         )
         self.update()
 

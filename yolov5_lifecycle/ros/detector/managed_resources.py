@@ -77,7 +77,7 @@ class Background:
 @dataclass(eq=False)
 class ManagedResources:
     """Owns the cameras, their publishers from `configure` to `release`, and the session from `activate` to
-    `deactivate`; the collector of images, and the service with which somebody asks for one.
+    `deactivate`; the collector of images, and the service that asks for one.
 
     Models are prepared and freed one at a time in a thread of their own, from construction to `close`.
     `on_too_many(reason)`, whose result is awaited, and `on_device_lost(reason)`, also called when a model

@@ -13,13 +13,13 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prepare_model
 from yolov5_lifecycle.printable import in_lines, in_one_line
-from yolov5_lifecycle.ros.detector.bond import Bond, check_bond
+from yolov5_lifecycle.ros.detector.bond import Bond, status_type
 from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REFUSALS, REST_TIMEOUT_S
 from yolov5_lifecycle.ros.nodes import PrintableNode
-from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters, Validate
+from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.rclpy_internals import (
     ForgettingGroup,
     available_transitions,
@@ -27,9 +27,8 @@ from yolov5_lifecycle.ros.rclpy_internals import (
     lifecycle_state,
 )
 from yolov5_lifecycle.ros.services import wrap_services
-from yolov5_lifecycle.ros.topics import qos_problems, reliability_problems, topic_problems
+from yolov5_lifecycle.ros.topics import qos_problems, topic_problems
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
-from yolov5_lifecycle.settings.settings import validated
 
 EXIT_DEVICE_LOST = 3
 """The GPU is lost; restart the process."""
@@ -71,24 +70,21 @@ def requested_label(wanted: Any, possible: Sequence[tuple[Any, ...]]) -> str | N
 class DetectorNode(PrintableNode, LifecycleNode):
     """YOLOv5 as a managed node: maps its transitions and services to parameters, resources and diagnostics.
 
-    `prepare` creates a model from settings, `validate` settings from values; tests pass their own.
-    `arguments` are the command-line arguments. `start_problems` are parameter files that could not be read
-    and values that contradict each other: reported at once; configure fails until the process is restarted.
+    `prepare` creates a model from settings; tests pass their own. `start_problems` are parameter files that
+    could not be read and values that contradict each other: reported at once; configure fails until the
+    process is restarted.
 
     A frame in progress is waited for `rest_timeout_s`; diagnostics come every `diagnostics_period_s`.
 
     `exit_code` is set when only a new process can detect again: the device is lost, or frames hang in more
-    than `max_abandoned_sessions` abandoned sessions.
+    than MAX_ABANDONED_SESSIONS abandoned sessions.
     """
 
     def __init__(
         self,
         *,
         prepare: Prepare = prepare_model,
-        validate: Validate = validated,
-        arguments: Sequence[str] = (),
         start_problems: Sequence[str] = (),
-        max_abandoned_sessions: int = MAX_ABANDONED_SESSIONS,
         rest_timeout_s: float = REST_TIMEOUT_S,
         diagnostics_period_s: float = 1.0,
         **node_options: Any,
@@ -98,18 +94,11 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self._group = ForgettingGroup()
         super().__init__("yolov5", **node_options)
         self._start_problems = list(start_problems)
-        self._max_abandoned_sessions = max_abandoned_sessions
         self._rest_timeout_s = rest_timeout_s
         self._problem = ""
         self._is_qos_checked = False
         self.exit_code: int | None = None
-        self._settings = SettingsParameters(
-            self,
-            rule=functools.partial(reliability_problems, self),
-            arguments=arguments,
-            validate=validate,
-            is_unconfigured=lambda: self.state_label == "unconfigured",
-        )
+        self._settings = SettingsParameters(self)
         self._resources = ManagedResources(
             self,
             parameters=self._settings,
@@ -172,7 +161,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
         settings = self._settings.settings()
         try:
             check_place(settings)
-            check_bond(settings.bond_timeout)
+            if settings.bond_timeout:
+                status_type(settings.bond_timeout)
         except ValueError as error:
             self.report(f"configure refused: {error}")
             return FAILURE
@@ -217,11 +207,11 @@ class DetectorNode(PrintableNode, LifecycleNode):
     def _topic_problems(self, cameras: Sequence[str]) -> list[str]:
         """Problems of these cameras, to which others may be added, with their topics or QoS overrides."""
         problems = topic_problems(self, cameras)
-        if self._is_qos_checked:  # the overrides are fixed, but their camera may be gone since
-            return problems
-        are_undecided = any(problem.setting == CAMERAS for problem in self._settings.problems)
-        with suppress(RuntimeError):  # of a name that ROS refuses, which is told already
-            problems += map(str, qos_problems(self, cameras, are_undecided=are_undecided))
+        are_wrong = any(problem.setting == CAMERAS for problem in self._settings.problems)
+        # Overrides are fixed, but the camera of one may be wrong now, or gone since an earlier configure.
+        if not self._is_qos_checked and not are_wrong:
+            with suppress(RuntimeError):  # of a name that ROS refuses, which is told already
+                problems += map(str, qos_problems(self, cameras))
         return problems
 
     def _status(self) -> Status:
@@ -251,9 +241,8 @@ class DetectorNode(PrintableNode, LifecycleNode):
             f"inference did not end within {self._rest_timeout_s:g} s, so the node abandons the thread; the "
             "thread's memory stays in use"
         )
-        count, most = self._resources.hanging_sessions, self._max_abandoned_sessions
-        if count > most:
-            told = f": inference hangs in {count} abandoned sessions, the limit is {most}"
+        if (count := self._resources.hanging_sessions) > MAX_ABANDONED_SESSIONS:
+            told = f": inference hangs in {count} abandoned sessions, the limit is {MAX_ABANDONED_SESSIONS}"
             self._exit(EXIT_ABANDONED_SESSIONS, told)
 
     async def _change_state(self, request: Any, response: Any) -> Any:

@@ -207,10 +207,12 @@ class Outputs:
             self.close()
             raise
 
-    @property
-    def subscribers(self) -> int:
-        """Number of subscriptions that need inference with any model and settings."""
-        return int(self.detections.get_subscription_count()) + self.image_subscribers
+    def subscribers(self, *, with_depth: bool, with_masks: bool) -> int:
+        """Number of subscriptions that need inference: to every output, to these two only if they exist."""
+        absent = [] if with_depth else [self.detections_3d]
+        absent += [] if with_masks else [self._masks]
+        needed = (publisher for publisher in self._publishers if publisher not in absent)
+        return sum(publisher.get_subscription_count() for publisher in needed)
 
     @property
     def subscribers_3d(self) -> int:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import types
 from collections.abc import Generator
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.task import Future as RosFuture
 
 from yolov5_lifecycle.detection.selection import model_problems
-from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources, resume
+from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused
 from yolov5_lifecycle.ros.services import Handler
@@ -32,7 +29,7 @@ _OLD_CLASSES = (
     "set_parameters_atomically, or set it to [] before. The running model stays."
 )
 _LEFT = "the node left the active state while the new model was loading; nothing was changed."
-_SUPERSEDED = "superseded by a later request that loads another model; nothing was changed."
+_BUSY = "another model is being loaded: set this again once that has been answered; nothing was changed."
 
 
 @dataclass(eq=False)
@@ -45,22 +42,13 @@ class Reconfiguration:
 
     def __post_init__(self) -> None:
         self._is_reloading = False
-        self._waiting: RosFuture | None = None
-        """Of the reload that waits for its turn."""
 
     def handlers(self) -> dict[str, Handler]:
         """Service callbacks by the last component of the service name."""
         return {
-            "describe_parameters": self._describe,
             "set_parameters": self._set_one_by_one,
             "set_parameters_atomically": self._set_together,
         }
-
-    def _describe(self, request: Any, response: Any) -> Any:
-        """Overrides that are not set, too; as with rclpy, nothing if a name is unknown."""
-        with suppress(ParameterNotDeclaredException):
-            response.descriptors = [*map(self.parameters.descriptor, request.names)]
-        return response
 
     async def _set_one_by_one(self, request: Any, response: Any) -> Any:
         asked = [*map(Parameter.from_parameter_msg, request.parameters)]
@@ -93,24 +81,14 @@ class Reconfiguration:
         return self._commit(proposal, session.preparation if session is not None else None)
 
     async def _reload(self, session: Session, proposal: Proposal) -> SetParametersResult:
-        """Reload once no other reload runs; of those that wait the latest remains.
-
-        Otherwise every queued reload would load a model that the next one replaces.
-        """
-        if self._waiting is not None:
-            resume(self.node, self._waiting, False)
+        """Reload, unless another reload runs: it would load a model that this one replaces."""
         if self._is_reloading:
-            turn = self._waiting = RosFuture(executor=self.node.executor)
-            if not await turn:
-                return refused(_SUPERSEDED)
+            return refused(_BUSY)
         self._is_reloading = True
         try:
             return await self._reload_now(session, proposal)
         finally:
-            waiting, self._waiting = self._waiting, None
-            self._is_reloading = waiting is not None
-            if waiting is not None:
-                resume(self.node, waiting, True)
+            self._is_reloading = False
 
     async def _reload_now(self, session: Session, asked: Proposal) -> SetParametersResult:
         """Load the model, commit `asked` with it, then free whichever model is unused.

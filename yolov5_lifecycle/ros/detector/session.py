@@ -105,8 +105,6 @@ class ActiveCamera:
     """Owns a camera's subscriptions, tracker and statistics while the node is active.
 
     `settings` are those of the camera. From construction on the threads of the `session` detect what comes.
-
-    If the subscription cannot be created, this is shown in the status; every `update` retries.
     """
 
     session: Session
@@ -167,12 +165,12 @@ class ActiveCamera:
     def follow_subscribers(self) -> None:
         """Subscribe if frames are needed; unsubscribe if `lazy` and the outputs have no subscriber."""
         outputs, is_lazy = self.outputs, self.settings.lazy and not self.settings.collect
-        subscribers_3d = outputs.subscribers_3d if self.settings.depth else 0
-        mask_subscribers = outputs.mask_subscribers if self.session.model.detector.segments else 0
-        is_needed = not is_lazy or outputs.subscribers + mask_subscribers + subscribers_3d > 0
+        is_needed = not is_lazy or outputs.subscribers(
+            with_depth=self.settings.depth, with_masks=self.session.model.detector.segments
+        )
         self.input.follow(self.camera.topic if is_needed else None, self.settings.image_reliability)
         if self.depth is not None:
-            viewers = subscribers_3d + outputs.image_subscribers
+            viewers = outputs.subscribers_3d + outputs.image_subscribers
             self.depth.follow(is_needed=not self.settings.lazy or viewers > 0)
 
     def unsubscribe(self) -> None:

@@ -1,14 +1,11 @@
-"""Parameters of a node and values of its settings: conversion, declaration, descriptors, sources.
+"""Parameters of a node and values of its settings: conversion, declaration, descriptors.
 
-Overrides of settings for a camera are declared only while they have a value, but always described.
+Overrides of settings for a camera are declared only while they have a value.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from enum import Enum
-from itertools import pairwise
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -46,49 +43,30 @@ def parameter_of(setting: Setting, value: object) -> Parameter:
     return Parameter(setting.name, TYPES[setting.type], list(value) if isinstance(value, tuple) else value)
 
 
-class Source(Enum):
-    """Source of a setting's value."""
-
-    DEFAULT = "default"
-    PARAMETER_FILE = "parameter file"
-    COMMAND_LINE = "command line"
-    RUN_TIME = "set at run time"
-
-
-def declare(
-    node: Node, schema: Schema[Any], *, arguments: Sequence[str] = ()
-) -> tuple[dict[str, object], dict[str, Source]]:
-    """Declare a parameter for every setting of `schema`; values of the settings and all else that was given,
-    and their sources, by name.
+def declare(node: Node, schema: Schema[Any]) -> dict[str, object]:
+    """Declare a parameter for every setting of `schema`; values of the settings and all else that was given.
 
     Never raises for a bad value: it is among the values, but the parameter has the default. Overrides for a
-    camera are declared if they are valid. `arguments` are the command-line arguments, to find the sources.
+    camera are declared if they are valid.
     """
-    values: dict[str, object] = {setting.name: setting.default for setting in schema.settings}
-    sources = dict.fromkeys(values, Source.DEFAULT)
-    on_command_line = _names_on_command_line(arguments)
-    for name, given in parameter_overrides(node).items():
+    given: dict[str, object] = {}
+    for name, parameter in parameter_overrides(node).items():
         if not name.startswith(ROS_PREFIXES):
-            value, setting = value_of(given, schema.find(name)), schema.find(name)
+            setting = schema.find(name)
+            value = value_of(parameter, setting)
             # rcl reads an empty list as a parameter without a value.
-            values[name] = () if value is None and setting is not None and setting.type is tuple else value
-            sources[name] = Source.COMMAND_LINE if name in on_command_line else Source.PARAMETER_FILE
+            given[name] = () if value is None and setting is not None and setting.type is tuple else value
+    values = {setting.name: setting.default for setting in schema.settings} | given
     for name, value in values.items():
         if (setting := schema.find(name)) is None:
             continue
-        is_valid = sources[name] is Source.DEFAULT or schema.problem(name, value) is None
+        is_valid = name not in given or schema.problem(name, value) is None
         if name in schema.by_name:
             _declare(node, setting, parameter_of(setting, value if is_valid else setting.default))
         elif is_valid:
             declare_unset(node, setting)
             node.set_parameters([parameter_of(setting, value)])
-    return values, sources
-
-
-def _names_on_command_line(arguments: Sequence[str]) -> set[str]:
-    """Names of parameters set with `-p [node:]name:=value` (or `--param`)."""
-    assignments = [word for flag, word in pairwise(arguments) if flag in ("-p", "--param")]
-    return {assignment.partition(":=")[0].rpartition(":")[2] for assignment in assignments}
+    return values
 
 
 def _declare(node: Node, setting: Setting, parameter: Parameter) -> None:
@@ -109,14 +87,9 @@ def declare_unset(node: Node, setting: Setting) -> None:
 
     In rclpy, only parameters of dynamic type may have no value.
     """
-    node.declare_parameter(setting.name, None, unset_descriptor(setting), ignore_override=True)
-
-
-def unset_descriptor(setting: Setting) -> ParameterDescriptor:
-    """Descriptor of a parameter that may have no value."""
     described = descriptor(setting)
-    described.name, described.type, described.dynamic_typing = setting.name, TYPES[setting.type].value, True
-    return described
+    described.dynamic_typing = True
+    node.declare_parameter(setting.name, None, described, ignore_override=True)
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:

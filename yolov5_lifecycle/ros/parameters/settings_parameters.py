@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.node import Node
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 
 from yolov5_lifecycle.ros.parameters.declaration import (
-    Source,
     declare,
     declare_unset,
     parameter_of,
-    unset_descriptor,
     value_of,
 )
+from yolov5_lifecycle.ros.rclpy_internals import lifecycle_state, parameter_overrides
+from yolov5_lifecycle.ros.topics import reliability_problems
 from yolov5_lifecycle.settings.camera_overrides import CAMERAS
 from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
 from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN
 from yolov5_lifecycle.settings.value_text import value_text
-
-Rule = Callable[[Settings], list[Problem]]
-Validate = Callable[[Mapping[str, object]], Settings]
-"""See `validated`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,31 +74,17 @@ class SettingsParameters:
     A bad override (YAML file or command line) never raises: it is kept among the values, and its parameter
     has the default, until it is set again or deleted, so that configure can report all problems.
 
-    While the node `is_unconfigured`, values may contradict each other and cameras with overrides may be
+    While the node is unconfigured, values may contradict each other and cameras with overrides may be
     missing, so that parameters can be set one by one in any order; configure then refuses what is left.
 
     `propose` validates a service request, `store` sets the proposed values. Nothing else may set a parameter
     that is a setting.
-
-    `rule` is checked in addition to those of Settings. `arguments` are the command-line arguments.
-    `validate` creates settings from values.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        *,
-        rule: Rule = lambda _: [],
-        arguments: Sequence[str] = (),
-        validate: Validate = validated,
-        is_unconfigured: Callable[[], bool] = lambda: False,
-    ) -> None:
+    def __init__(self, node: LifecycleNode) -> None:
         self._node = node
-        self._rule = rule
-        self._validate = validate
-        self._is_unconfigured = is_unconfigured
-        values, self._sources = declare(node, SCHEMA, arguments=arguments)
-        self._current = self._configuration(values)
+        self._set_at_run_time = set[str]()
+        self._current = self._configuration(declare(node, SCHEMA))
 
     @property
     def problems(self) -> tuple[Problem, ...]:
@@ -141,12 +123,6 @@ class SettingsParameters:
         """Value of a setting for a camera in `cameras`; see `value`."""
         own = f"{camera}{SEPARATOR}{name}"
         return self.value(own if self._node.has_parameter(own) else name)
-
-    def descriptor(self, name: str) -> ParameterDescriptor:
-        """Also of an override that is not set. Raises ParameterNotDeclaredException for an unknown name."""
-        is_unset = not self._node.has_parameter(name) and SCHEMA.is_known(name, self._current.values)
-        setting = SCHEMA.find(name) if is_unset else None
-        return unset_descriptor(setting) if setting else self._node.describe_parameter(name)
 
     def propose(self, asked: Sequence[Parameter]) -> Proposal:
         """Validate a service request, except for the checks that need the model; changes nothing."""
@@ -190,7 +166,7 @@ class SettingsParameters:
                 self._node.undeclare_parameter(setting.name)
             return result
         self._current = proposal.after
-        self._sources |= {parameter.name: Source.RUN_TIME for parameter in parameters}
+        self._set_at_run_time |= {parameter.name for parameter in parameters}
         if proposal.unsolved:
             remark = "change another parameter, too, or configure is refused: "
             result.reason = remark + " ".join(map(str, proposal.unsolved))
@@ -201,9 +177,14 @@ class SettingsParameters:
         values = self._current.values
         width = max(map(len, values))
         return "\n".join(
-            f"  {name:{width}}  {value_text(value):<28}  {self._sources[name].value}"
+            f"  {name:{width}}  {value_text(value):<28}  {self._source(name)}"
             for name, value in values.items()
         )
+
+    def _source(self, name: str) -> str:
+        if name in self._set_at_run_time:
+            return "set at run time"
+        return "given at the start" if name in parameter_overrides(self._node) else "default"
 
     def _after(self, wanted: Mapping[str, object]) -> Configuration:
         """The configuration with the settings and overrides in `wanted`, of which None deletes.
@@ -225,17 +206,17 @@ class SettingsParameters:
 
     def _configuration(self, values: Mapping[str, object]) -> Configuration:
         try:
-            settings = self._validate(values)
+            settings = validated(values)
         except SettingsError as error:
             return Configuration(values, None, tuple(error.problems))
-        problems = self._rule(settings)
+        problems = reliability_problems(self._node, settings)
         return Configuration(values, None if problems else settings, tuple(problems))
 
     def _problems_of(
         self, wanted: Mapping[str, object], after: Configuration
     ) -> tuple[list[Problem], list[Problem]]:
         """The problems that refuse a change to `after`, and those that may wait for another change."""
-        if self._is_unconfigured():
+        if lifecycle_state(self._node) == "unconfigured":
             found = [SCHEMA.problem(n, v) for n, v in wanted.items() if SCHEMA.find(n) and v is not None]
             present = set(self._current.problems)
             return [*filter(None, found)], [problem for problem in after.problems if problem not in present]
@@ -257,7 +238,7 @@ class SettingsParameters:
             return True
         if values[name] is None:
             return name in self._current.values
-        return SCHEMA.find(name) is not None and self._is_unconfigured()
+        return SCHEMA.find(name) is not None and lifecycle_state(self._node) == "unconfigured"
 
     def _is_fixed(self, name: str, value: object) -> bool:
         setting = SETTINGS_BY_NAME.get(name)
