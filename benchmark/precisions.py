@@ -21,7 +21,7 @@ from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.quantization.activation_ranges import activations
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 

@@ -27,7 +27,7 @@ from benchmark.report import Goal, Program, row
 from benchmark.rivals import RIVALS, call_of
 from benchmark.work import image_file
 from yolov5_lifecycle.collecting.collected_files import kept_images
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16
 from yolov5_lifecycle.runtimes.registry import installed_runtimes
 from yolov5_lifecycle.sources.scene import CLASS_NAMES
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -12,7 +10,7 @@ from torch import nn
 
 from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     Activation,
     Quantization,
@@ -115,19 +113,6 @@ def test_ranges_of_another_network_are_refused(network: Network, read: dict[str,
             Quantization(other, frozenset(), 8).check(found)
     with pytest.raises(QuantizationError, match="convolutions: elsewhere"):
         Quantization(read, frozenset({"elsewhere"}), 8).check(found)
-
-
-def test_the_digest_differs_with_all_that_the_result_depends_on(read: dict[str, Activation]) -> None:
-    first, second, *_ = read
-    usual = Quantization(read, frozenset(), 8)
-    others = [
-        dataclasses.replace(usual, weight_bits=7),
-        dataclasses.replace(usual, fp32_layers=frozenset({first})),
-        dataclasses.replace(usual, activations=read | {second: Activation((0.0, 9.0), read[second].means)}),
-        dataclasses.replace(usual, activations=read | {second: Activation(read[second].range, (9.0,))}),
-    ]
-    assert len({each.digest for each in (usual, *others)}) == 5
-    assert usual.digest == Quantization(dict(read), frozenset(), 8).digest
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line, shell_command
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     Activation,
     Quantization,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,14 +42,7 @@ class Quantization:
     fp32_layers: frozenset[str]
     """Convolutions that stay in fp32."""
     weight_bits: int
-    """See `weight_bits` in `processor_abilities`."""
-
-    @property
-    def digest(self) -> str:
-        """Cache key: differs whenever the output of the network would."""
-        read = [(name, each.range, each.means) for name, each in sorted(self.activations.items())]
-        content = [read, sorted(self.fp32_layers), self.weight_bits]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    """See `weight_bits` in `processor`."""
 
     def of_weights(self, network: Network) -> dict[Tensor, Activation]:
         """The input of each int8 convolution of `network`, which must fit, see `check`; by its weights."""

@@ -23,7 +23,7 @@ from yolov5_lifecycle.offline.terminal import Terminal, exit_code
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
-from yolov5_lifecycle.runtimes.processor_abilities import abilities
+from yolov5_lifecycle.runtimes.processor import abilities
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import validated

@@ -17,7 +17,7 @@ from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.calibrate.calibration_images import halves
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive, network_pixels
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 from yolov5_lifecycle.runtimes.speed import Taken, median, time_taken
