@@ -57,7 +57,7 @@ def written(name: str, data: bytes) -> Path:
 def check_labels(data: bytes) -> None:
     """Expect boxes in the image, or a one-line error."""
     if labels := taken(partial(parsed_labels, data.decode(errors="replace"), _CLASSES), DataError):
-        _check_boxes(labels.in_pixels(_SIZE_HW), _CLASSES)
+        _check_boxes(labels.scaled(_SIZE_HW), _CLASSES)
 
 
 def check_coco_file(data: bytes) -> None:
@@ -68,7 +68,7 @@ def check_coco_file(data: bytes) -> None:
     if found is not None:
         assert found.class_names is not None
         for image in found.images:
-            _check_boxes(image.labels.boxes, len(found.class_names))
+            _check_boxes(image.boxes, len(found.class_names))
 
 
 def check_description(data: bytes) -> None:

@@ -56,17 +56,17 @@ def test_images_boxes_and_classes_are_read(tmp_path: Path) -> None:
     assert problems == []
     assert found.class_names == ("cat", "dog")
     assert [one.path.name for one in found.images] == ["1.jpg", "2.jpg"]
-    boxes = found.images[0].labels.in_pixels((100, 200))
+    boxes = found.images[0].in_pixels((100, 200))
     np.testing.assert_array_equal(boxes.xyxy, [(10, 20, 40, 60.5), (0, 0, 5, 5)])
     assert (boxes.class_ids.tolist(), boxes.is_crowd.tolist()) == ([1, 0], [False, True])
     with pytest.raises(DataError, match="for an image of 200 x 100 pixels, found 100 x 200"):
-        found.images[0].labels.in_pixels((200, 100))
+        found.images[0].in_pixels((200, 100))
 
 
 @pytest.mark.parametrize("height", ["x", 10.5, -10, 10**30, True])
 def test_a_height_that_no_image_has_is_not_compared(height: object, tmp_path: Path) -> None:
     found, _ = read(write(tmp_path, coco([image(1, height=height)], [annotation(1)])))
-    assert found.images[0].labels.size_hw is None
+    assert found.images[0].size_hw is None
 
 
 @pytest.mark.parametrize("bbox", [[20, 100, 5, 5], [-9, 20, 9, 5]], ids=["below", "left"])
@@ -74,7 +74,7 @@ def test_a_box_outside_of_an_image_of_unknown_size_is_refused(bbox: list[int], t
     unknown = {key: value for key, value in image(1).items() if key not in ("width", "height")}
     found, _ = read(write(tmp_path, coco([unknown], [annotation(1, bbox=bbox)])))
     with pytest.raises(DataError, match="a label is outside of its image of 200 x 100 pixels"):
-        found.images[0].labels.in_pixels((100, 200))
+        found.images[0].in_pixels((100, 200))
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def test_names_of_categories_are_those_that_a_model_has(tmp_path: Path) -> None:
     records = [annotation(1, category_id=12)]
     found, problems = read(write(tmp_path, coco([image(1)], records, categories)))
     assert found.class_names == ("7", "a b", r"\x1b", "class 3", "class 4")
-    assert found.images[0].labels.boxes.class_ids.tolist() == [2]
+    assert found.images[0].boxes.class_ids.tolist() == [2]
     assert problems == []
 
 
@@ -281,7 +281,7 @@ def test_a_coco_file_has_boxes_of_known_classes_or_is_refused(content: object, t
         refused = ""
         assert folder.class_names is not None
         for image in folder.images:
-            boxes = image.labels.boxes
+            boxes = image.boxes
             assert (boxes.xyxy[:, :2] < boxes.xyxy[:, 2:]).all()
             assert boxes.class_ids.max(initial=0) < len(folder.class_names)
     assert not refused or refused.startswith(f"{path}: ")

@@ -16,8 +16,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Boxes,
     DataError,
     LabelledFolder,
-    LabelledPath,
-    Labels,
+    LabelledImage,
     Problems,
     absolute,
     check_box_count,
@@ -95,8 +94,8 @@ def read_coco_file(path: Path, problems: Problems, *, root: Path | None = None) 
         boxes, ids, crowds = zip(*of_image, strict=True) if of_image else ((), (), ())
         sides = (image.height, image.width)
         size_hw = sides if all(type(side) is int and 0 < side <= MAX_SIDE_PX for side in sides) else None
-        found.append(LabelledPath(image_path, Labels(Boxes.of(boxes, ids, crowds), size_hw=size_hw)))
-    if not any(len(image.labels.boxes) for image in found):
+        found.append(LabelledImage(image_path, Boxes.of(boxes, ids, crowds), size_hw=size_hw))
+    if not any(len(image.boxes) for image in found):
         raise DataError(f"{path}: no image has labels that can be used. {problems.summary}".strip())
     return LabelledFolder(class_names, tuple(found))
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,7 +87,7 @@ class Boxes:
     """Ground truth boxes of an image, one row per object."""
 
     xyxy: NDArray[np.float64]
-    """(n, 4) finite corners, x1 < x2 and y1 < y2, in pixels or, within `Labels`, in fractions."""
+    """(n, 4) finite corners, x1 < x2 and y1 < y2, in pixels or in fractions, see `LabelledImage`."""
     class_ids: NDArray[np.int64]
     """(n,) indices into the class names of the data set or, where it has none, of the model."""
     is_crowd: NDArray[np.bool_]
@@ -103,11 +103,17 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.class_ids)
 
+    def scaled(self, size_hw: tuple[int, int]) -> Boxes:
+        """These, in fractions, in the pixels of an image of `size_hw`."""
+        height, width = size_hw
+        return Boxes(self.xyxy * (width, height, width, height), self.class_ids, self.is_crowd)
+
 
 @dataclass(frozen=True, eq=False)
-class Labels:
-    """Labels of an image: boxes in pixels, or in fractions of its width and height."""
+class LabelledImage:
+    """An image file and its labels: boxes in pixels, or in fractions of its width and height."""
 
+    path: Path
     boxes: Boxes
     in_fractions: bool = False
     size_hw: tuple[int, int] | None = None
@@ -118,21 +124,13 @@ class Labels:
         if self.size_hw is not None and self.size_hw != size_hw:
             expected, found = (f"{width} x {height}" for height, width in (self.size_hw, size_hw))
             raise DataError(f"the labels are for an image of {expected} pixels, found {found}")
+        if self.in_fractions:
+            return self.boxes.scaled(size_hw)
         height, width = size_hw
-        if not self.in_fractions:
-            xyxy = self.boxes.xyxy
-            if ((xyxy[:, :2] >= (width, height)) | (xyxy[:, 2:] <= 0)).any():
-                raise DataError(f"a label is outside of its image of {width} x {height} pixels")
-            return self.boxes
-        pixels = self.boxes.xyxy * (width, height, width, height)
-        return Boxes(pixels, self.boxes.class_ids, self.boxes.is_crowd)
-
-
-class LabelledPath(NamedTuple):
-    """An image file and its labels."""
-
-    path: Path
-    labels: Labels
+        xyxy = self.boxes.xyxy
+        if ((xyxy[:, :2] >= (width, height)) | (xyxy[:, 2:] <= 0)).any():
+            raise DataError(f"a label is outside of its image of {width} x {height} pixels")
+        return self.boxes
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,7 @@ class LabelledFolder:
     """Labelled image files and the names of their classes; None if ids are those of the model."""
 
     class_names: tuple[str, ...] | None
-    images: tuple[LabelledPath, ...]
+    images: tuple[LabelledImage, ...]
 
 
 def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:

@@ -136,7 +136,7 @@ def _found(
 
     def keep(stored: ImageFile, image: ColourImage, detections: Detections) -> None:
         try:
-            truth = classes.truth(data.images[stored.number].labels.in_pixels(image.size_hw))
+            truth = classes.truth(data.images[stored.number].in_pixels(image.size_hw))
         except DataError as error:
             if model.number == 0:
                 problems.add("broken labels", stored.label, error)
@@ -148,7 +148,7 @@ def _found(
         if stored.number in sample:
             timed[stored.number] = stored
 
-    files = [ImageFile(path, number) for number, (path, _) in enumerate(data.images)]
+    files = [ImageFile(labelled.path, number) for number, labelled in enumerate(data.images)]
     model.offline.run(files, expected=len(files), write=keep)
     return images
 
