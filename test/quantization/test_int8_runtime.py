@@ -70,7 +70,7 @@ def test_shapes_are_found_in_int8_as_well_as_in_fp32(
             runtime="openvino",
             precision=precision,
             image_size=image_size,
-            quantization=calibration.quantization,
+            quantization=calibration,
         )
         assert detector.runtime.precision == precision
         images = (stills if kind == "stills" else moving)(UNSEEN_SEED, count, size_hw)
@@ -84,7 +84,7 @@ def of_ranges(high: float) -> Quantization:
     """All activations of the random model have the range from -1 to `high`."""
     found = convolutions(fuse(random_model().network()))
     read = {path: Activation((-1.0, high), (0.0,) * each.in_channels) for path, each in found.items()}
-    return Quantization(read, frozenset(), 8)
+    return Quantization.of(read)
 
 
 def test_what_is_predicted_depends_on_the_ranges() -> None:
@@ -108,7 +108,7 @@ def test_other_runtimes_refuse_what_they_compute_slowly(runtime: str, precision:
 def test_int8_without_ranges_or_with_those_of_another_model_is_refused() -> None:
     with pytest.raises(QuantizationError, match="needs a calibration"):
         load_runtime(random_model(), "openvino", device="cpu", precision="int8")
-    quantization = Quantization({"elsewhere": Activation((0.0, 1.0), (0.0,))}, frozenset(), 8)
+    quantization = Quantization.of({"elsewhere": Activation((0.0, 1.0), (0.0,))})
     with pytest.raises(QuantizationError, match="do not match this network's"):
         load_runtime(random_model(), "openvino", device="cpu", precision="int8", quantization=quantization)
 

@@ -84,13 +84,18 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     assert chosen(tmp_path, frame_hw=(96, 64)).reason.endswith("; measured now")
 
 
+def replaced_by_a_pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
 @needs_choice
 @pytest.mark.parametrize(
     "damage",
     [
         pytest.param(lambda file: file.write_bytes(b'{"torch": 1'), id="cut off"),
         pytest.param(lambda file: file.write_bytes(b"{}" + b" " * MAX_BYTES), id="too large"),
-        pytest.param(lambda file: (file.unlink(), os.mkfifo(file)), id="a pipe"),
+        pytest.param(replaced_by_a_pipe, id="a pipe"),
     ],
 )
 def test_a_damaged_record_is_measured_again_and_replaced(

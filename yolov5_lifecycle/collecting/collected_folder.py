@@ -214,7 +214,7 @@ class CollectedFolder:
         present = set[str]()
         for session in {f"{IMAGES}/{kept.session}" for kept in self._images.values()}:
             with suppress(FileNotFoundError):
-                present.update(f"{session}/{name}" for name in os.listdir(self._path / session))
+                present.update(f"{session}/{name}" for name in os.listdir(self._path / session))  # noqa: PTH208 - no Path for each
         for image in self._images.keys() - present:
             self.remove(image)
 

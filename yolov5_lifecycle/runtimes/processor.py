@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +28,7 @@ def processor() -> str:
     return "\n".join([platform.machine(), *relevant])
 
 
+@cache
 def abilities(described: str | None = None) -> tuple[str, ...]:
     """Instruction sets that matter for int8 and bf16, in a fixed order.
 

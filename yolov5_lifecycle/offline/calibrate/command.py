@@ -87,7 +87,9 @@ def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
     calibrating = Calibrating(weights.model, images, selection=selection, tell=terminal.begin)
     quantization = calibrating.quantization()
     worth = calibrating.worth(quantization)
-    calibration = Calibration.of(quantization, weights.sha256, settings.image_size)
+    calibration = Calibration(
+        **dict(quantization), weights_sha256=weights.sha256, image_size=settings.image_size
+    )
     write_calibration(path, calibration)
     return report(calibration, worth, path)
 
