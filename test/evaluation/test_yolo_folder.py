@@ -153,6 +153,8 @@ def test_texts_may_have_byte_order_marks_where_files_were_joined_too(encoding: s
         pytest.param("../there.jpg", "; --root names the folder that may be read", id="outside"),
         pytest.param("../missing.jpg", "lies outside of [^;]*$", id="outside and missing"),
         pytest.param("/home/them/images/1.jpg", "lies outside of [^;]*$", id="of another computer"),
+        pytest.param("a\0.jpg", "expected the path of a file or folder", id="null character"),
+        pytest.param("x" * 5000 + ".jpg", "expected the path of a file or folder", id="long"),
     ],
 )
 def test_a_line_of_a_list_that_names_nothing_here_says_what_helps(
