@@ -80,22 +80,24 @@ def test_shapes_are_found_in_int8_as_well_as_in_fp32(
     assert figures["int8"].recall >= figures["fp32"].recall - 0.01
 
 
-def of_ranges(high: float) -> Quantization:
+def of_ranges(high: float, *, in_fp32: bool = False) -> Quantization:
     """All activations of the random model have the range from -1 to `high`."""
     found = convolutions(fuse(random_model().network()))
     read = {path: Activation((-1.0, high), (0.0,) * each.in_channels) for path, each in found.items()}
-    return Quantization.of(read)
+    return Quantization.of(read, read if in_fp32 else ())
 
 
-def test_what_is_predicted_depends_on_the_ranges() -> None:
-    found = set()
-    for precision, quantization in (("fp32", None), ("int8", of_ranges(2.0)), ("int8", of_ranges(20.0))):
+def test_what_is_predicted_depends_on_the_ranges_and_on_the_layers_in_fp32() -> None:
+    found = []
+    for quantization in (None, of_ranges(2.0, in_fp32=True), of_ranges(2.0), of_ranges(20.0)):
+        precision = "fp32" if quantization is None else "int8"
         runtime = load_runtime(
             random_model(), "openvino", device="cpu", precision=precision, quantization=quantization
         )
-        found.add(runtime(random_frame(), "rgb").rows.tobytes())
+        found.append(runtime(random_frame(), "rgb").rows.tobytes())
         runtime.close()
-    assert len(found) == 3
+    assert found[0] == found[1]
+    assert len(set(found)) == 3
 
 
 @pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])
