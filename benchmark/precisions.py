@@ -21,7 +21,7 @@ from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.quantization.activation_ranges import activations
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
 
@@ -53,7 +53,7 @@ def of_frame(model: Model, size_hw: tuple[int, int]) -> Quantization:
     """All convolutions in int8, with ranges of one random frame, which do not affect the time."""
     frame = torch.rand((1, model.architecture.image_channels, *size_hw))
     read = activations(fuse(model.network()), [frame], progress=lambda _: None)
-    return Quantization(read, frozenset(), weight_bits(abilities()))
+    return Quantization.of(read)
 
 
 def goal(size: str, taken_ms: Mapping[str, Sequence[float]]) -> Goal:

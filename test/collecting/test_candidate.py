@@ -28,8 +28,8 @@ def label_text(detections: Detections, class_ids: list[int], *, segments: bool =
 def test_labels_are_the_boxes_within_the_image(segments: bool) -> None:
     labels = parsed_labels(label_text(SEVERAL, [3, 4], segments=segments), 5)
     expected = np.array(VISIBLE) / (WIDTH, HEIGHT, WIDTH, HEIGHT)
-    np.testing.assert_allclose(labels.boxes.xyxy, expected, atol=1e-5)
-    assert labels.boxes.class_ids.tolist() == [4, 4, 4]
+    np.testing.assert_allclose(labels.xyxy, expected, atol=1e-5)
+    assert labels.class_ids.tolist() == [4, 4, 4]
 
 
 def masked(values: float) -> Detections:
@@ -45,8 +45,15 @@ def masked(values: float) -> Detections:
 )
 def test_a_polygon_is_the_outline_of_the_mask_or_the_corners_of_the_box(values: float, right: int) -> None:
     text = label_text(masked(values), [0, 1], segments=True)
-    corners = parsed_labels(text, 2).boxes.xyxy[0] * (WIDTH, HEIGHT, WIDTH, HEIGHT)
+    corners = parsed_labels(text, 2).xyxy[0] * (WIDTH, HEIGHT, WIDTH, HEIGHT)
     assert corners.tolist() == pytest.approx((WIDTH // 4, 10, right, 30), abs=1.01)
+
+
+def test_a_record_has_the_tracks_of_its_objects() -> None:
+    two = found(("dog", 0.9, BOXES[0]), ("cat", 0.5, BOXES[1]))
+    frame = candidate(detections=replace(two, track_ids=("7", "")))
+    objects = frame.record("images/a/000001.jpg", frame.reasons).objects
+    assert [(each.class_name, each.track_id) for each in objects] == [("dog", "7"), ("cat", "")]
 
 
 def test_a_jpeg_is_kept_as_it_was_received() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -98,6 +99,27 @@ def test_the_folder_is_never_larger_than_its_quota(tmp_path: Path) -> None:
         assert sum(path.stat().st_size for path in kept) == folder.size_bytes <= 30_000
     folder.close()
     assert check(tmp_path) > 2
+
+
+def test_an_image_that_somebody_deletes_takes_no_room(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=ROOM))
+    for seed, value in enumerate([3.0, 1.0, 2.0]):
+        assert keep(folder, seed, value=value)
+    (tmp_path / images(tmp_path)[0]).unlink()
+    assert keep(folder, 3, value=0.5)
+    assert not keep(folder, 4, value=0.4)
+    folder.close()
+    assert check(tmp_path) == ROOM
+    assert [frame.value for frame in frames_of(tmp_path)] == [1.0, 2.0, 0.5]
+
+
+def test_a_session_that_somebody_deletes_takes_no_room(tmp_path: Path) -> None:
+    folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=1))
+    keep(folder, 0)
+    shutil.rmtree(tmp_path / IMAGES / folder.session.name)
+    assert keep(folder, 1, value=0.5)
+    folder.close()
+    assert check(tmp_path) == 1
 
 
 def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -> None:

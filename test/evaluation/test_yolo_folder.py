@@ -57,7 +57,7 @@ class Told:
     def names(self, data: Path, split: str | None = None) -> list[str]:
         """The images relative to `data`, all with one box, sorted."""
         images = self.read(data, split).images
-        assert all(len(image.labels.boxes) == 1 for image in images)
+        assert all(len(image.boxes) == 1 for image in images)
         folder = data if data.is_dir() else data.parent
         return sorted(str(image.path.relative_to(folder)) for image in images)
 
@@ -153,6 +153,8 @@ def test_texts_may_have_byte_order_marks_where_files_were_joined_too(encoding: s
         pytest.param("../there.jpg", "; --root names the folder that may be read", id="outside"),
         pytest.param("../missing.jpg", "lies outside of [^;]*$", id="outside and missing"),
         pytest.param("/home/them/images/1.jpg", "lies outside of [^;]*$", id="of another computer"),
+        pytest.param("a\0.jpg", "expected the path of a file or folder", id="null character"),
+        pytest.param("x" * 5000 + ".jpg", "expected the path of a file or folder", id="long"),
     ],
 )
 def test_a_line_of_a_list_that_names_nothing_here_says_what_helps(
@@ -188,7 +190,7 @@ def test_what_is_broken_is_listed_and_the_rest_is_read(tmp_path: Path) -> None:
     told = Told()
     images = told.read(data).images
     assert [image.path.stem for image in images] == ["15", "16", "17", "18", "19"]
-    assert len(images[-1].labels.boxes) == 0, "an image without a label file shows nothing"
+    assert len(images[-1].boxes) == 0, "an image without a label file shows nothing"
     assert told.problems.counts == {"broken labels": 15}
     assert len(told.lines) == 11
     assert told.lines[0].startswith("broken labels: ")
@@ -247,7 +249,7 @@ def test_the_root_widens_what_may_be_read(tmp_path: Path) -> None:
         Told().read(data)
     (image,) = Told().read(data, root=tmp_path).images
     assert image.path == tmp_path / "images" / "1.jpg"
-    assert len(image.labels.boxes) == 1
+    assert len(image.boxes) == 1
 
 
 def test_a_repeated_line_is_read_once_and_a_repeated_list_too(tmp_path: Path) -> None:
@@ -307,7 +309,7 @@ def test_a_label_file_of_too_many_lines_is_broken(text: str) -> None:
 def test_labels_are_boxes_in_pixels(
     text: str, class_ids: list[int], corners: list[tuple[int, int, int, int]]
 ) -> None:
-    boxes = parsed_labels(text, 2).in_pixels((200, 100))
+    boxes = parsed_labels(text, 2).scaled((200, 100))
     assert boxes.class_ids.tolist() == class_ids
     np.testing.assert_allclose(boxes.xyxy, np.array(corners).reshape(-1, 4), atol=1e-9)
 
@@ -363,7 +365,7 @@ FIELDS = st.one_of(
 @given(st.lists(st.lists(FIELDS, max_size=9).map(" ".join), max_size=4).map("\n".join))
 def test_labels_are_boxes_in_the_image_or_refused(text: str) -> None:
     try:
-        boxes = parsed_labels(text, 2).in_pixels((100, 200))
+        boxes = parsed_labels(text, 2).scaled((100, 200))
     except DataError as error:
         refused = str(error)
     else:

@@ -29,7 +29,7 @@ from yolov5_lifecycle.models.cost import (
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import blueprint
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime, prepared
 
 PLAIN = Architecture(
     depth_multiple=1, width_multiple=1, classes=1, anchors_px=(((10, 10),),), strides=(1,), layers=()
@@ -71,7 +71,8 @@ def check_cost(architecture: Architecture) -> None:
     assert 2 * cost.multiply_adds == pytest.approx(flops, rel=0.1)
     assert cost.weight_bytes == 4 * sum(weight.numel() for weight in blueprint(architecture).parameters())
 
-    runtime = TorchRuntime.of(Network(architecture).eval(), device=torch.device("cpu"), dtype=torch.float32)
+    device, dtype = torch.device("cpu"), torch.float32
+    runtime = TorchRuntime(prepared(Network(architecture), device, dtype), device=device, dtype=dtype)
     frame = np.zeros((*cost.size_hw, 3), np.uint8)
 
     def run() -> None:

@@ -14,7 +14,7 @@ from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
-from yolov5_lifecycle.evaluation.ground_truth import LabelledPath, Problems
+from yolov5_lifecycle.evaluation.ground_truth import LabelledImage, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import read_yolo_folder
 from yolov5_lifecycle.offline.collected.command import main, validation_sessions
 
@@ -67,7 +67,7 @@ def test_whole_sessions_are_for_training_or_validation(tmp_path: Path) -> None:
     assert parts["train"].isdisjoint(parts["val"])
 
 
-def labelled(data: Path, split: str) -> tuple[LabelledPath, ...]:
+def labelled(data: Path, split: str) -> tuple[LabelledImage, ...]:
     told: list[str] = []
     images = read_yolo_folder(data, Problems(told.append), split=split).images
     assert told == []
@@ -116,6 +116,23 @@ def test_folders_whose_class_numbers_differ_do_not_become_one(tmp_path: Path) ->
     collected(tmp_path / "robot_2", 1, names=CLASS_NAMES[::-1])
     assert not copied_into_one(tmp_path)
     assert not (tmp_path / "all").exists()
+
+
+@pytest.mark.parametrize("action", ["show", "split"])
+@pytest.mark.parametrize("linked", ["images", "labels", "frames", "images/{session}"])
+def test_a_link_in_the_folder_is_refused_and_nothing_is_written(
+    action: str, linked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = collected(tmp_path / "robot", 1, 1)
+    inner = folder / linked.format(session=sessions(folder)[0])
+    inner.rename(tmp_path / "outside")
+    inner.symlink_to(tmp_path / "outside")
+    before = sorted(tmp_path.rglob("*"))
+    assert run(action, folder) == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "expected a file or folder, found a link; replace it by a copy" in told.err
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_records_that_are_too_large_together_are_not_read(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -12,7 +10,7 @@ from torch import nn
 
 from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     Activation,
     Quantization,
@@ -62,7 +60,7 @@ def test_the_first_convolution_reads_pixels(read: dict[str, Activation]) -> None
 def test_observing_leaves_the_network_as_it_was(network: Network, frames: list[torch.Tensor]) -> None:
     before = network.features(frames[0])
     found = activations(network, frames, progress=lambda _: None)
-    order = most_sensitive(network, found, torch.cat(frames), weight_bits=8, progress=lambda _: None)
+    order = most_sensitive(network, found, torch.cat(frames), progress=lambda _: None)
     assert sorted(order) == sorted(found)
     after = network.features(frames[0])
     assert all(torch.equal(one, other) for one, other in zip(before, after, strict=True))
@@ -102,7 +100,7 @@ def test_the_corrected_bias_keeps_the_mean_of_the_result(groups: int) -> None:
 
 def test_ranges_of_another_network_are_refused(network: Network, read: dict[str, Activation]) -> None:
     found = convolutions(network)
-    Quantization(read, frozenset(), 8).check(found)
+    Quantization.of(read).check(found)
     first, *_ = read
     missing = {name: each for name, each in read.items() if name != first}
     narrow = read | {first: Activation((0.0, 1.0), (0.5,))}
@@ -112,22 +110,9 @@ def test_ranges_of_another_network_are_refused(network: Network, read: dict[str,
         (narrow, f"convolutions: {first}$"),
     ):
         with pytest.raises(QuantizationError, match=problem):
-            Quantization(other, frozenset(), 8).check(found)
+            Quantization.of(other).check(found)
     with pytest.raises(QuantizationError, match="convolutions: elsewhere"):
-        Quantization(read, frozenset({"elsewhere"}), 8).check(found)
-
-
-def test_the_digest_differs_with_all_that_the_result_depends_on(read: dict[str, Activation]) -> None:
-    first, second, *_ = read
-    usual = Quantization(read, frozenset(), 8)
-    others = [
-        dataclasses.replace(usual, weight_bits=7),
-        dataclasses.replace(usual, fp32_layers=frozenset({first})),
-        dataclasses.replace(usual, activations=read | {second: Activation((0.0, 9.0), read[second].means)}),
-        dataclasses.replace(usual, activations=read | {second: Activation(read[second].range, (9.0,))}),
-    ]
-    assert len({each.digest for each in (usual, *others)}) == 5
-    assert usual.digest == Quantization(dict(read), frozenset(), 8).digest
+        Quantization.of(read, ["elsewhere"]).check(found)
 
 
 @pytest.mark.parametrize(

@@ -7,16 +7,19 @@ import json
 import os
 import pwd
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.random_model import TINY, random_model
 
+from yolov5_lifecycle.atomic_file import FOLDER_PREFIX, temporary_folder
 from yolov5_lifecycle.runtimes import registry
-from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build
+from yolov5_lifecycle.runtimes.cache import MAX_BYTES, cache_folder
 from yolov5_lifecycle.runtimes.registry import (
     REQUIREMENTS,
+    installed_build,
     installed_runtimes,
     load_runtime,
 )
@@ -43,7 +46,7 @@ def chosen(folder: Path | None, **changed: Any) -> Choice:
 def test_every_installed_runtime_is_measured_and_the_fastest_taken(tmp_path: Path) -> None:
     choice = chosen(tmp_path, measure=None)
     (record,) = tmp_path.iterdir()
-    figures_ms = json.loads(DiskCache(tmp_path).read(record.name) or b"")
+    figures_ms = json.loads(record.read_text())
     assert sorted(figures_ms) == sorted(INSTALLED)
     assert figures_ms[choice.runtime] <= 1.15 * min(figures_ms.values())
     assert choice.reason.endswith("; measured now")
@@ -73,7 +76,7 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     assert chosen(tmp_path).runtime == INSTALLED[-1]
     (record,) = tmp_path.iterdir()
     figures_ms = {"torch": 1.5} | dict.fromkeys(INSTALLED[1:], 77.0)
-    DiskCache(tmp_path).keep(record.name, json.dumps(figures_ms).encode())
+    record.write_text(json.dumps(figures_ms))
     again = chosen(tmp_path)
     assert again.runtime == "torch"
     assert again.reason.startswith("torch 1.5 ms, ")
@@ -81,18 +84,26 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     assert chosen(tmp_path, frame_hw=(96, 64)).reason.endswith("; measured now")
 
 
+def replaced_by_a_pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
 @needs_choice
 @pytest.mark.parametrize(
-    "content",
+    "damage",
     [
-        pytest.param(b'{"torch": 1', id="cut off"),
-        pytest.param(b"", id="empty"),
+        pytest.param(lambda file: file.write_bytes(b'{"torch": 1'), id="cut off"),
+        pytest.param(lambda file: file.write_bytes(b"{}" + b" " * MAX_BYTES), id="too large"),
+        pytest.param(replaced_by_a_pipe, id="a pipe"),
     ],
 )
-def test_a_damaged_record_is_measured_again_and_replaced(tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_record_is_measured_again_and_replaced(
+    tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
     chosen(tmp_path)
     (record,) = tmp_path.iterdir()
-    record.write_bytes(content)
+    damage(record)
     assert chosen(tmp_path).reason.endswith("; measured now")
     assert chosen(tmp_path).reason.endswith(f"; cached in {record}")
 
@@ -149,7 +160,15 @@ def test_what_one_runtime_computes_is_not_measured(tmp_path: Path, precision: st
 )
 def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, cache: str, expected: str) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", cache)
-    assert cache_folder("choices") == Path(expected)
+    assert cache_folder() == Path(expected)
+
+
+@needs_choice
+def test_what_a_killed_process_has_left_half_written_is_removed(tmp_path: Path) -> None:
+    (tmp_path / f"{FOLDER_PREFIX}abandoned").mkdir()
+    with temporary_folder(tmp_path) as living:
+        chosen(tmp_path)
+        assert [path for path in tmp_path.iterdir() if path.is_dir()] == [living]
 
 
 def test_another_version_of_a_package_is_another_build(

@@ -94,7 +94,7 @@ def test_what_cuda_cannot_record_is_run_step_by_step_with_a_warning() -> None:
 import numpy as np, torch
 from support.random_model import TINY, random_model
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime, prepared
 
 class WaitingNetwork(Network):
     def forward(self, pixels):
@@ -102,7 +102,8 @@ class WaitingNetwork(Network):
 
 network = WaitingNetwork(TINY)
 network.load_state_dict(random_model(2).state_dict)
-runtime = TorchRuntime.of(network, device=torch.device("cuda:0"), dtype=torch.float32)
+device = torch.device("cuda:0")
+runtime = TorchRuntime(prepared(network, device, torch.float32), device=device, dtype=torch.float32)
 on_cpu = TorchRuntime.load(random_model(2), device="cpu", precision="fp32")
 for grey in (50, 200):
     frame = np.full((64, 96, 3), grey, np.uint8)

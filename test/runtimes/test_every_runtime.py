@@ -30,9 +30,9 @@ from yolov5_lifecycle.images.image import ColourImage, Order
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
-from yolov5_lifecycle.runtimes.cache import DiskCache
 from yolov5_lifecycle.runtimes.compiled_runtime import DetectionHead
 from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
@@ -231,12 +231,16 @@ def test_lanes_are_closed_one_by_one_and_outlive_the_runtime_that_they_come_from
 
 @pytest.mark.parametrize("name", ["onnxruntime", "openvino"])
 def test_lanes_share_one_compiled_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    read: list[str] = []
-    monkeypatch.setattr(DiskCache, "read", lambda _, key: read.append(key))
-    monkeypatch.setattr(DiskCache, "keep", lambda *_: None)
+    recorded: list[tuple[int, int]] = []
+
+    def watched(network: Network, shape: tuple[int, int], *others: Any) -> bytes:
+        recorded.append(shape)
+        return onnx_graph(network, shape, *others)
+
+    monkeypatch.setattr("yolov5_lifecycle.runtimes.compiled_runtime.onnx_graph", watched)
     for lane in loaded(random_model(1), name).lanes(3, threads=2):
         lane(FRAME, "rgb")
-    assert len(read) == 1
+    assert recorded == [FRAME.shape[:2]]
 
 
 def test_torch_uses_the_threads_of_a_lane_only_in_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:

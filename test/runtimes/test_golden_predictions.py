@@ -103,10 +103,9 @@ def compiled_predictions(
     fuse(network)
     height, width = pixels.shape[2:]
     with denormals_as_zero():  # the engines leave the calling thread in that mode, which is ended here
-        loaded, _ = imported_engine(runtime_name, "fp32").build(
-            graph_of_pixels(network, (height, width)), Threads(each=1)
-        )
-        return DetectionHead(network.head)(loaded.new_run()(pixels), 0.0)
+        graph = graph_of_pixels(network, (height, width))
+        loaded = imported_engine(runtime_name, "fp32").load(graph, Threads(each=1))
+        return DetectionHead(network.head)(loaded()(pixels), 0.0)
 
 
 def graph_of_pixels(network: Network, size_hw: tuple[int, int]) -> bytes:

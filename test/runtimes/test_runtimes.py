@@ -18,13 +18,13 @@ from yolov5_lifecycle.runtimes.torch_device import (
     resolve_device,
     resolve_precision,
 )
-from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
+from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime, prepared
 
 CPU = torch.device("cpu")
 
 
 def runtime_of(network: Network) -> TorchRuntime:
-    return TorchRuntime.of(network, device=CPU, dtype=torch.float32)
+    return TorchRuntime(prepared(network, CPU, torch.float32), device=CPU, dtype=torch.float32)
 
 
 class FailingNetwork(Network):

@@ -189,8 +189,9 @@ class CollectedFolder:
 
         Returns False, and removes nothing, if one that is worth more than `value` would have to go.
         """
-        excess = len(self) + count - self._quota.max_frames
-        excess_bytes = self.size_bytes + size - self._quota.max_bytes
+        if max(self._excess(count, size)) > 0:
+            self._forget_missing()
+        excess, excess_bytes = self._excess(count, size)
         leaving: list[KeptImage] = []
         remaining = iter(sorted(self._images.values(), key=lambda kept: kept.value))
         while excess > 0 or excess_bytes > 0:
@@ -203,6 +204,19 @@ class CollectedFolder:
         for kept in leaving:
             self.remove(kept.path)
         return True
+
+    def _excess(self, count: int, size: int) -> tuple[int, int]:
+        """How many images, and bytes, exceed the quota with `count` more of `size` bytes."""
+        return len(self) + count - self._quota.max_frames, self.size_bytes + size - self._quota.max_bytes
+
+    def _forget_missing(self) -> None:
+        """Forget images that somebody has deleted, and remove what belongs to them. Raises OSError."""
+        present = set[str]()
+        for session in {f"{IMAGES}/{kept.session}" for kept in self._images.values()}:
+            with suppress(FileNotFoundError):
+                present.update(f"{session}/{name}" for name in os.listdir(self._path / session))  # noqa: PTH208 - no Path for each
+        for image in self._images.keys() - present:
+            self.remove(image)
 
     def _unlink(self, image: str) -> None:
         """Remove the image, then what belongs to it; a disk that fails keeps them."""

@@ -186,19 +186,15 @@ def load_detector(
     # A GPU refuses too much by itself.
     is_on_cpu = runtime not in ("auto", "torch") or resolve_device(device).type == "cpu"
     cost = checked_cost(model.architecture, image_size, is_in_memory=is_on_cpu)
-    choice = Choice(runtime, "as set")
-    if runtime == "auto":
-        frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
-        choice = choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
-    # Besides the network of every camera there are those for batches and for a camera that changes its size.
-    kept = max(MIN_KEPT, KEPT_PER_CAMERA * cameras)
+    choice = _choice(model, runtime, device=device, precision=precision, image_size=image_size)
     return Detector(
         load_runtime(
             model,
             choice.runtime,
             device=device,
             precision=precision,
-            kept=kept,
+            # Besides the network of every camera there is that of one that changes its size.
+            kept=max(MIN_KEPT, KEPT_PER_CAMERA * cameras),
             quantization=quantization,
         ),
         class_names=model.class_names,
@@ -208,6 +204,15 @@ def load_detector(
         mask_coefficients=model.architecture.mask_coefficients,
         cost=cost,
     )
+
+
+def _choice(model: Model, runtime: str, *, device: str, precision: str, image_size: int) -> Choice:
+    """`runtime`, or for `auto` the fastest one; see `choose_runtime`."""
+    if runtime != "auto":
+        return Choice(runtime, "as set")
+    stride = size_multiple(model.architecture)
+    frame_hw = Letterbox.fit(USUAL_SOURCE_HW, image_size=image_size, stride=stride).network_hw
+    return choose_runtime(model, device=device, precision=precision, frame_hw=frame_hw)
 
 
 def _of_export(export: Export, *, device: str, precision: str, image_size: int, runtime: str) -> Detector:

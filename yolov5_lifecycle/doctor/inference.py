@@ -17,8 +17,7 @@ from yolov5_lifecycle.detection.python_api import load_model
 from yolov5_lifecycle.doctor.finding import Finding, Groups, Machine, error, ok, warning
 from yolov5_lifecycle.doctor.system import KERNEL_MODULE
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.runtimes.cache import installed_build
-from yolov5_lifecycle.runtimes.registry import REQUIREMENTS
+from yolov5_lifecycle.runtimes.registry import REQUIREMENTS, installed_build
 from yolov5_lifecycle.runtimes.torch_device import devices_present
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene
 

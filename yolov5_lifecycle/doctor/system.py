@@ -19,7 +19,7 @@ from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.process.environment import compute_threads
 from yolov5_lifecycle.process.memory import available_bytes, cores, memory_bytes
 from yolov5_lifecycle.process.missing_package import PIP_PACKAGES
-from yolov5_lifecycle.runtimes.processor_abilities import abilities
+from yolov5_lifecycle.runtimes.processor import abilities
 
 _GIB = 1 << 30
 OLDEST_PYTHON, NEWEST_PYTHON = (3, 10), (3, 13)

@@ -22,11 +22,9 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     Boxes,
     DataError,
     LabelledFolder,
-    LabelledPath,
-    Labels,
+    LabelledImage,
     Problems,
     absolute,
-    check_box_count,
     check_count,
     confined_path,
     read_data_file,
@@ -223,23 +221,23 @@ class _Reader:
                 continue
             yield image
 
-    def labelled(self, paths: Sequence[Path], class_count: int) -> Iterator[LabelledPath]:
+    def labelled(self, paths: Sequence[Path], class_count: int) -> Iterator[LabelledImage]:
         """The images with their labels, none if there is no label file; without those with broken ones."""
         for path in paths:
             label_path = _label_path(path, self.root)
             text: str | None = ""
             try:
                 text = label_text(label_path)
-                labels = parsed_labels(text or "", class_count)
+                boxes = parsed_labels(text or "", class_count)
             except DataError as error:
                 self._problems.add("broken labels", label_path, error)
-                labels = None
+                boxes = None
             self.label_files += text is not None
             where = label_path.parent
             self._count(where, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
-            if labels is not None:
-                self._count(where, "objects in a data set", len(labels.boxes), MAX_OBJECTS)
-                yield LabelledPath(path, labels)
+            if boxes is not None:
+                self._count(where, "objects in a data set", len(boxes), MAX_OBJECTS)
+                yield LabelledImage(path, boxes)
 
     def _count(self, where: Path, what: str, more: int, limit: int) -> None:
         self._counts[what] += more
@@ -281,8 +279,8 @@ def label_text(path: Path) -> str | None:
         raise DataError(error.strerror if isinstance(error, OSError) else str(error)) from None
 
 
-def parsed_labels(text: str, class_count: int) -> Labels:
-    """The labels in `text`, with class ids below `class_count`; equal boxes count once.
+def parsed_labels(text: str, class_count: int) -> Boxes:
+    """The labels in `text`, in fractions, with class ids below `class_count`; equal boxes count once.
 
     Raises DataError, with the line, if one is broken: an image with unknown objects cannot be evaluated.
     """
@@ -295,8 +293,9 @@ def parsed_labels(text: str, class_count: int) -> Labels:
                 boxes[_object(fields, class_count)] = None
         except DataError as error:
             raise DataError(f"line {number}: {error}") from None
-    check_box_count(len(boxes))
-    return Labels(Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], []), in_fractions=True)
+    remedy = "the image is left out; correct its labels"
+    check_count("the image", "objects", len(boxes), MAX_BOXES_PER_IMAGE, remedy=remedy)
+    return Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], [])
 
 
 def _object(fields: list[str], class_count: int) -> tuple[tuple[float, ...], int]:

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
+from yolov5_lifecycle.runtimes.processor import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     LEVELS,
     Activation,
@@ -129,7 +130,6 @@ def most_sensitive(
     activations: Mapping[str, Activation],
     frames: Tensor,
     *,
-    weight_bits: int,
     progress: Callable[[int], None],
 ) -> list[str]:
     """Paths of all convolutions of the fused `network`, the most sensitive one first.
@@ -154,7 +154,7 @@ def most_sensitive(
                 hooks.enter_context(module.register_forward_hook(partial(count, path)))
             exact = network.features(frames)
         for number, (path, module) in enumerate(found.items()):
-            with _rounded(module, activations[path], weight_bits):
+            with _rounded(module, activations[path]):
                 noise[path] = _noise(network.features(frames), exact)
             progress(number + 1)
     return sorted(noise, key=lambda path: -noise[path] / products[path])
@@ -169,11 +169,11 @@ def _noise(features: list[Tensor], exact: list[Tensor]) -> float:
 
 
 @contextmanager
-def _rounded(module: nn.Conv2d, read: Activation, weight_bits: int) -> Iterator[None]:
+def _rounded(module: nn.Conv2d, read: Activation) -> Iterator[None]:
     """Let `module` compute as if in int8."""
     assert module.bias is not None
     weight, bias = module.weight.data, module.bias.data
-    integers, steps = quantized_weight(weight.numpy(), weight_bits)
+    integers, steps = quantized_weight(weight.numpy(), weight_bits(abilities()))
     rounded = integers * steps.reshape(-1, 1, 1, 1)
     module.bias.data = torch.from_numpy(corrected_bias(weight.numpy(), bias.numpy(), rounded, read.means))
     module.weight.data = torch.from_numpy(rounded)

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError
 
 from yolov5_lifecycle.atomic_file import atomic_write
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.printable import in_one_line, shell_command
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
-    Activation,
     Quantization,
     QuantizationError,
     convolutions,
@@ -26,59 +24,13 @@ from yolov5_lifecycle.runtimes.quantization import (
 MAX_FILE_BYTES = 4 << 20
 _MAX_TOLD = 200
 
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Name = Annotated[str, Field(min_length=1, max_length=200)]
-Figure = Annotated[float, Field(ge=-1e9, le=1e9)]
-Range = tuple[Figure, Figure]
-"""Lowest and highest value of an activation."""
 
-
-class Calibration(BaseModel):
+class Calibration(Quantization):
     """The content of a calibration file."""
 
-    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
-
     format: Literal["yolov5_lifecycle calibration 3"] = "yolov5_lifecycle calibration 3"
-    weights_sha256: Digest
+    weights_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
     image_size: Annotated[int, Field(ge=32, le=4096)]
-    ranges: Annotated[dict[Name, Range], Field(min_length=1)]
-    """Range of what each convolution reads, by its path in the network, as in the names of its weights."""
-    means: dict[Name, tuple[Figure, ...]]
-    """Mean of each channel that the convolution reads."""
-    fp32_layers: tuple[Name, ...]
-    """Paths of the convolutions that stay in fp32."""
-
-    @field_validator("ranges")
-    @classmethod
-    def _are_ordered(cls, value: dict[str, Range]) -> dict[str, Range]:
-        for name, (low, high) in value.items():
-            if not (low <= 0 <= high and high - low >= 1e-6):
-                raise ValueError(f"{name[:50]!r}: expected [low, high] with low <= 0 <= high and low < high")
-        return value
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> Calibration:
-        if self.means.keys() != self.ranges.keys():
-            raise ValueError("means: expected those of the same convolutions as the ranges")
-        return self
-
-    @classmethod
-    def of(cls, quantization: Quantization, weights_sha256: str, image_size: int) -> Calibration:
-        """That of `quantization`, for these weights and this size."""
-        read = quantization.activations
-        return cls(
-            weights_sha256=weights_sha256,
-            image_size=image_size,
-            ranges={name: each.range for name, each in read.items()},
-            means={name: each.means for name, each in read.items()},
-            fp32_layers=tuple(sorted(quantization.fp32_layers)),
-        )
-
-    @property
-    def quantization(self) -> Quantization:
-        """How the network is computed in int8 on this processor."""
-        activations = {name: Activation(range_, self.means[name]) for name, range_ in self.ranges.items()}
-        return Quantization(activations, frozenset(self.fp32_layers), weight_bits(abilities()))
 
 
 def path_beside(weights: Path) -> Path:
@@ -105,7 +57,7 @@ def find_quantization(
             f"{path}: {error}. Create one with `{command}`, where DATA is a folder of images, a video or a "
             "recording; or use precision 'fp32'."
         ) from None
-    return calibration.quantization
+    return calibration
 
 
 def _check_made_for(calibration: Calibration, weights: WeightsFile, image_size: int) -> None:
@@ -120,7 +72,7 @@ def _check_made_for(calibration: Calibration, weights: WeightsFile, image_size: 
         )
     with torch.device("meta"):
         network = Network(weights.model.architecture)
-    calibration.quantization.check(convolutions(network))
+    calibration.check(convolutions(network))
 
 
 def read_calibration(path: Path) -> Calibration:

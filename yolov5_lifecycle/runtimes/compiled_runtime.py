@@ -1,15 +1,12 @@
-"""Runtime of the ONNX engines, which compile the network for each input shape, with a cache on disk."""
+"""Runtime of the ONNX engines, which compile the network for each input shape."""
 
 from __future__ import annotations
 
-import hashlib
-import logging
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import TypeVar
 from weakref import WeakValueDictionary
 
@@ -19,21 +16,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from yolov5_lifecycle import models, runtimes
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import fuse
+from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.printable import in_one_line
-from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build, processor
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, closed
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
 from yolov5_lifecycle.runtimes.quantization import Quantization, convolutions
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
-_CODE = [Path(package.__path__[0]) for package in (models, runtimes)]
-"""Folders of the modules on which the ONNX graph of a model depends."""
 _PLANES = {"rgb": (0, 1, 2), "bgr": (2, 1, 0)}
 _TO_GREY = {"rgb": cv2.COLOR_RGB2GRAY, "bgr": cv2.COLOR_BGR2GRAY}
 
@@ -41,44 +34,35 @@ Features = NDArray[np.float32]
 """Feature map of one detection level, (batch, channels, ny, nx)."""
 Result = TypeVar("Result")
 
-_log = logging.getLogger(__name__)
-
 Run = Callable[[NDArray[np.generic]], Sequence[Features]]
 """Planes (batch, 3 or 1, h, w), RGB or grey -> features of each level, which the next run may overwrite.
 
 Or features of the finest level (1, channels, ny, nx) -> prototypes (1, M, h, w).
 """
+Loaded = Callable[[], Run]
+"""A network in memory: each call creates a run for one thread at a time, with buffers of its own.
+
+The runs share its weights and its `Threads`.
+"""
 
 
 @dataclass(frozen=True)
 class Threads:
-    """Threads of the processor that a compiled network uses for each of the runs that are made at once."""
+    """Threads of the processor that a compiled network uses for each of the runs that are made at once.
 
-    each: int
-    at_once: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Loaded:
-    """A network in memory; `new_run` creates a run for one thread at a time, with buffers of its own.
-
-    Runs of one `Loaded` share its weights. Its `Threads` are for them together.
+    By default as many as torch uses.
     """
 
-    new_run: Callable[[], Run]
+    each: int = field(default_factory=torch.get_num_threads)
+    at_once: int = 1
 
 
 @dataclass(frozen=True)
 class Engine:
-    """An inference engine, named like its package; `build` and `restore` may raise `errors`.
-
-    `build` compiles a serialized ONNX model and also returns the bytes to cache, empty for none; `restore`
-    loads those bytes. They do not depend on the threads.
-    """
+    """An inference engine, named like its package; `load` compiles an ONNX model, and may raise `errors`."""
 
     name: str
-    build: Callable[[bytes, Threads], tuple[Loaded, bytes]]
-    restore: Callable[[bytes, Threads], Loaded]
+    load: Callable[[bytes, Threads], Loaded]
     errors: tuple[type[Exception], ...]
     precision: str = "fp32"
 
@@ -101,12 +85,12 @@ class Program(ABC):
         It may only be used while denormal floats are zero.
         """
 
-    def shared(self, part: str, threads: Threads, load: Callable[[], Loaded]) -> Loaded:
-        """The `part` that a runtime with the same `threads` has loaded, or what `load` returns."""
+    def shared(self, part: str, threads: Threads, graph: Callable[[], bytes]) -> Loaded:
+        """The `part` that a runtime with the same `threads` has loaded, or else its `graph`, loaded."""
         with self._loading:
             found = self._loaded.get((part, threads))
             if found is None:
-                found = self._loaded[part, threads] = load()
+                found = self._loaded[part, threads] = self.engine.load(graph(), threads)
             return found
 
 
@@ -166,32 +150,25 @@ def check_processor(device: str, engine: Engine, *, otherwise: str = "runtime 't
         )
 
 
-def processor_threads() -> Threads:
-    """As many as torch uses."""
-    return Threads(torch.get_num_threads())
-
-
 class Compiler(Program):
-    """Compiles the network of `model` with `engine`, in int8 with `quantization`, and caches the results.
+    """Compiles the network of `model` with `engine`, in int8 with `quantization`.
 
-    `head` is the network's last layer, which is not compiled; `proto` its part that computes mask prototypes,
-    None if the network does not segment. Its images have `channels`, 3 or 1.
+    `head` is the network's last layer, which is not compiled, except for the mask prototypes of one that
+    `segments`. Its images have `channels`, 3 or 1.
 
     Raises QuantizationError if `quantization` belongs to another network.
     """
 
     def __init__(self, model: Model, engine: Engine, quantization: Quantization | None = None) -> None:
         super().__init__(engine, engine.precision)
-        self._network = model.network().requires_grad_(False)
+        self._model = model
         self._quantization = quantization
+        network = model.network().requires_grad_(False)
         if quantization is not None:
-            quantization.check(convolutions(self._network))
+            quantization.check(convolutions(network))
         self.channels = model.architecture.image_channels
-        self._store = DiskCache(cache_folder("compiled"))
-        self._identity = _identity(model, engine, quantization)
-        detect = self._network.head
-        self.head = DetectionHead(detect)
-        self.proto = detect.proto if isinstance(detect, Segment) else None
+        self.head = DetectionHead(network.head)
+        self.segments = isinstance(network.head, Segment)
 
     def network(self, shape: Shape, threads: Threads) -> _Compiled:
         """See `Program`."""
@@ -199,47 +176,28 @@ class Compiler(Program):
 
     def compiled(self, shape: Shape, threads: Threads) -> Loaded:
         """The compiled network for frames of `shape`; raises the engine's errors."""
-        return self._one(str(shape), lambda: onnx_graph(self._network, shape, self._quantization), threads)
+        return self.shared(str(shape), threads, lambda: self._graph(shape))
 
     def prototypes(self, finest: Features, threads: Threads) -> Loaded:
-        """The compiled `proto` for features like `finest`; raises the engine's errors."""
-        proto = self.proto
-        assert proto is not None
+        """The compiled part for mask prototypes, for features like `finest`; raises the engine's errors."""
         _, channels, height, width = finest.shape
         shape = (1, channels, height, width)
-        return self._one(f"prototypes {shape}", lambda: prototype_graph(proto, shape), threads)
+        return self.shared(f"prototypes {shape}", threads, lambda: self._prototype_graph(shape))
 
-    def _one(self, part: str, graph: Callable[[], bytes], threads: Threads) -> Loaded:
-        return self.shared(part, threads, lambda: self._compiled(part, graph, threads))
+    def _fused(self) -> Network:
+        """A new network: fused weights, which are not the model's, are only needed for one graph."""
+        return fuse(self._model.network())
 
-    def _compiled(self, part: str, graph: Callable[[], bytes], threads: Threads) -> Loaded:
-        key = hashlib.sha256(f"{self._identity} {part}".encode()).hexdigest()
-        kept = self._store.read(key)
-        if kept is not None:
-            try:
-                return self.engine.restore(kept, threads)
-            except self.engine.errors as error:
-                _log.warning("Compiling the model again, because the cached one cannot be loaded: %s", error)
-        fuse(self._network)
+    def _graph(self, shape: Shape) -> bytes:
         try:
-            serialized = graph()
+            return onnx_graph(self._fused(), shape, self._quantization)
         except ValueError as error:  # the layers do not fit each other for this size
             raise InferenceError(f"{self.engine.name} failed on cpu: {error}") from None
-        loaded, content = self.engine.build(serialized, threads)
-        if content:
-            self._store.keep(key, content)
-        return loaded
 
-
-def _identity(model: Model, engine: Engine, quantization: Quantization | None) -> str:
-    """A string of everything except the input shape on which a compiled model depends."""
-    weights = hashlib.sha256()
-    for name, tensor in sorted(model.state_dict.items()):
-        weights.update(name.encode() + tensor.numpy().tobytes())
-    code = [path.stat().st_mtime_ns for folder in _CODE for path in sorted(folder.glob("*.py"))]
-    precision = (engine.precision, quantization.digest if quantization else "")
-    build = installed_build(engine.name)
-    return repr([code, build, processor(), model.architecture, weights.hexdigest(), engine.name, precision])
+    def _prototype_graph(self, shape: tuple[int, int, int, int]) -> bytes:
+        head = self._fused().head
+        assert isinstance(head, Segment)
+        return prototype_graph(head.proto, shape)
 
 
 class _Compiled:
@@ -249,7 +207,7 @@ class _Compiled:
         self._compiler = compiler
         self._threads = threads
         self._loaded = compiler.compiled(shape, threads)
-        self._run = self._loaded.new_run()
+        self._run = self._loaded()
         self._loaded_proto: Loaded | None = None
         self._run_proto: Run | None = None
         self._planes = np.empty((1, compiler.channels, *shape), np.uint8)
@@ -260,7 +218,7 @@ class _Compiled:
         features = self._run(self._planes)
         return Predictions(
             self._compiler.head(features, min_objectness),
-            partial(self._prototypes, features[0]) if self._compiler.proto is not None else None,
+            partial(self._prototypes, features[0]) if self._compiler.segments else None,
             partial(_mean, features[-1]),
         )
 
@@ -268,7 +226,7 @@ class _Compiled:
         """Prototypes (M, h, w) from the features of the finest level."""
         if self._run_proto is None:
             self._loaded_proto = self._compiler.prototypes(finest, self._threads)
-            self._run_proto = self._loaded_proto.new_run()
+            self._run_proto = self._loaded_proto()
         (found,) = self._run_proto(finest)
         prototypes: NDArray[np.float32] = found[0].copy()  # the next run may overwrite them
         return prototypes

@@ -17,7 +17,6 @@ from yolov5_lifecycle.runtimes.compiled_runtime import (
     Program,
     Threads,
     check_processor,
-    processor_threads,
     write_planes,
 )
 from yolov5_lifecycle.runtimes.networks_by_shape import Shape, denormals_as_zero
@@ -30,7 +29,7 @@ def load_exported(export: Export, engine: Engine, *, device: str) -> CompiledRun
     Raises InferenceError if the engine cannot load it.
     """
     check_processor(device, engine, otherwise="the .pt and runtime 'torch'")
-    threads = processor_threads()
+    threads = Threads()
     try:
         with denormals_as_zero():  # the engine leaves this thread in that mode
             program = _Exported(export, engine, threads)
@@ -59,7 +58,7 @@ class _Exported(Program):
         return _ExportedNetwork(self._export, self._loaded_for(threads), shape)
 
     def _loaded_for(self, threads: Threads) -> Loaded:
-        return self.shared("graph", threads, lambda: self.engine.restore(self._export.graph, threads))
+        return self.shared("graph", threads, lambda: self._export.graph)
 
 
 class _ExportedNetwork:
@@ -71,7 +70,7 @@ class _ExportedNetwork:
     def __init__(self, export: Export, loaded: Loaded, shape: Shape) -> None:
         self._export = export
         self._loaded = loaded
-        self._run = loaded.new_run()
+        self._run = loaded()
         self._planes = np.zeros((export.batch or 1, export.channels, *shape), np.uint8)
 
     def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:

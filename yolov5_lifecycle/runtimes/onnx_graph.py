@@ -20,6 +20,7 @@ from torch.nn import functional
 from yolov5_lifecycle.models.head import PARITIES, Proto
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.models.shape_tensor import CostCounter, ShapeTensor
+from yolov5_lifecycle.runtimes.processor import abilities, weight_bits
 from yolov5_lifecycle.runtimes.quantization import (
     Activation,
     Quantization,
@@ -47,7 +48,7 @@ def onnx_graph(network: Network, shape: tuple[int, int], quantization: Quantizat
     planes = (1, network.architecture.image_channels, *shape)
     graph = Graph(planes, TensorProto.UINT8)
     if quantization is not None:
-        graph.activations, graph.weight_bits = quantization.of_weights(network), quantization.weight_bits
+        graph.activations = quantization.of_weights(network)
     as_float = graph.add("Cast", INPUT, to=TensorProto.FLOAT)
     pixels = graph.tensor(planes, graph.add("Mul", as_float, graph.constant(np.float32(1 / 255))))
     features = network.features(cast(Tensor, pixels))
@@ -89,7 +90,6 @@ class Graph:
         self._graph.name = "yolov5"
         self._graph.input.append(helper.make_tensor_value_info(INPUT, dtype, shape))
         self.activations: Mapping[Tensor, Activation] = {}
-        self.weight_bits = 8
         self._rounded: dict[tuple[str, Range], str] = {}
 
     def tensor(self, shape: tuple[int, ...], name: str) -> GraphTensor:
@@ -117,7 +117,7 @@ class Graph:
         if read is None:
             return features.name, self.constant(weight), self.constant(bias)
         exact = weight.detach().numpy()
-        integers, steps = quantized_weight(exact, self.weight_bits)
+        integers, steps = quantized_weight(exact, weight_bits(abilities()))
         rounded = integers * steps.reshape(-1, 1, 1, 1)
         parts = [self.constant(part) for part in (integers, steps, np.zeros(len(steps), np.int8))]
         return (

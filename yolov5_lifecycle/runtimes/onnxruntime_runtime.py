@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
 from yolov5_lifecycle.process.environment import disable_telemetry
 
 disable_telemetry()  # before the import below; a program that uses this package may not have done it
@@ -11,10 +9,7 @@ disable_telemetry()  # before the import below; a program that uses this package
 import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as state
 
-from yolov5_lifecycle.atomic_file import remove_abandoned_folders, temporary_folder
 from yolov5_lifecycle.runtimes.compiled_runtime import Engine, Loaded, Threads
-
-_log = logging.getLogger(__name__)
 
 _ERRORS = (
     RuntimeError,
@@ -29,33 +24,13 @@ _ERRORS = (
 
 
 def onnxruntime_engine() -> Engine:
-    """ONNX Runtime on the CPU. Runs of one session at the same time share its threads but for the callers'.
-
-    Removes the temporary folders of processes that were killed while they compiled.
-    """
-    remove_abandoned_folders()
-    return Engine("onnxruntime", _build, _session, _ERRORS)
+    """ONNX Runtime on the CPU. Runs of one session share its threads, but for those of the callers."""
+    return Engine("onnxruntime", _compile, _ERRORS)
 
 
-def _build(graph: bytes, threads: Threads) -> tuple[Loaded, bytes]:
-    """Compile `graph`; the bytes to cache are the optimized graph, fused and laid out for this CPU.
-
-    ONNX Runtime exports it only as a file; where none can be written, nothing is cached.
-    """
-    try:
-        with temporary_folder() as folder:
-            file = folder / "optimized.onnx"
-            return _session(graph, threads, str(file)), file.read_bytes()
-    except (OSError, *_ERRORS) as error:
-        loaded = _session(graph, threads)  # raises if the graph is the cause
-        _log.warning("The compiled model is not cached, because no temporary file can be written: %s", error)
-        return loaded, b""
-
-
-def _session(graph: bytes, threads: Threads, optimized_file: str = "") -> Loaded:
+def _compile(graph: bytes, threads: Threads) -> Loaded:
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
-    options.optimized_model_filepath = optimized_file
     # An explicit thread count also disables pinning to cores, where threads wait for other processes.
     options.intra_op_num_threads = 1 + (threads.each - 1) * threads.at_once
     options.add_session_config_entry(*_waiting())
@@ -69,7 +44,7 @@ def _session(graph: bytes, threads: Threads, optimized_file: str = "") -> Loaded
         graph, options, providers=["CPUExecutionProvider"], disabled_optimizers=disabled
     )
     (name,) = (each.name for each in session.get_inputs())
-    return Loaded(lambda: lambda values: session.run(None, {name: values}))
+    return lambda: lambda values: session.run(None, {name: values})
 
 
 def _waiting() -> tuple[str, str]:

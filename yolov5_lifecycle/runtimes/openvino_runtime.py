@@ -19,15 +19,9 @@ _HINTS = {"fp32": "f32", "int8": "f32", "bf16": "bf16"}
 def openvino_engine(precision: str = "fp32") -> Engine:
     """OpenVINO on the CPU; `precision` fp32, int8 or bf16.
 
-    It reads ONNX directly: the converter for torch modules would send usage statistics. The ONNX graph itself
-    is cached: OpenVINO's own export is larger, and for large networks loading it is no faster than compiling.
+    It reads ONNX directly: the converter for torch modules would send usage statistics.
     """
-    compiled = partial(_compile, hint=_HINTS[precision])
-
-    def build(graph: bytes, threads: Threads) -> tuple[Loaded, bytes]:
-        return compiled(graph, threads), graph
-
-    return Engine("openvino", build, compiled, (RuntimeError,), precision)
+    return Engine("openvino", partial(_compile, hint=_HINTS[precision]), (RuntimeError,), precision)
 
 
 @cache
@@ -59,4 +53,4 @@ def _compile(graph: bytes, threads: Threads, *, hint: str) -> Loaded:
         request = compiled.create_infer_request()
         return lambda values: list(request.infer([values], share_inputs=True, share_outputs=True).values())
 
-    return Loaded(new_run)
+    return new_run

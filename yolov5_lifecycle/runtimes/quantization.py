@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from torch import Tensor, nn
 
 from yolov5_lifecycle.models.network import Network
@@ -19,15 +18,17 @@ LEVELS = 255
 _SMALLEST_STEP = 1e-12
 _TOLD = 3
 
-Range = tuple[float, float]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Figure = Annotated[float, Field(ge=-1e9, le=1e9)]
+Range = tuple[Figure, Figure]
+"""Lowest and highest value of an activation."""
 
 
 class QuantizationError(ValueError):
     """A calibration is missing or damaged, or does not fit the network; the message has the reason."""
 
 
-@dataclass(frozen=True)
-class Activation:
+class Activation(NamedTuple):
     """The input of a convolution."""
 
     range: Range
@@ -36,27 +37,43 @@ class Activation:
     """Of each channel."""
 
 
-@dataclass(frozen=True)
-class Quantization:
+class Quantization(BaseModel):
     """How a network is computed in int8; names are those of `convolutions`."""
 
-    activations: Mapping[str, Activation]
-    fp32_layers: frozenset[str]
-    """Convolutions that stay in fp32."""
-    weight_bits: int
-    """See `weight_bits` in `processor_abilities`."""
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
-    @property
-    def digest(self) -> str:
-        """Cache key: differs whenever the output of the network would."""
-        read = [(name, each.range, each.means) for name, each in sorted(self.activations.items())]
-        content = [read, sorted(self.fp32_layers), self.weight_bits]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    ranges: Annotated[dict[Name, Range], Field(min_length=1)]
+    """Range of what each convolution reads, by its path in the network, as in the names of its weights."""
+    means: dict[Name, tuple[Figure, ...]]
+    """Mean of each channel that the convolution reads."""
+    fp32_layers: tuple[Name, ...]
+    """Paths of the convolutions that stay in fp32."""
+
+    @field_validator("ranges")
+    @classmethod
+    def _are_ordered(cls, value: dict[str, Range]) -> dict[str, Range]:
+        for name, (low, high) in value.items():
+            if not (low <= 0 <= high and high - low >= 1e-6):
+                raise ValueError(f"{name[:50]!r}: expected [low, high] with low <= 0 <= high and low < high")
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Quantization:
+        if self.means.keys() != self.ranges.keys():
+            raise ValueError("means: expected those of the same convolutions as the ranges")
+        return self
+
+    @classmethod
+    def of(cls, activations: Mapping[str, Activation], fp32_layers: Iterable[str] = ()) -> Quantization:
+        """That of the `activations` of every convolution."""
+        ranges = {name: each.range for name, each in activations.items()}
+        means = {name: each.means for name, each in activations.items()}
+        return cls(ranges=ranges, means=means, fp32_layers=tuple(sorted(fp32_layers)))
 
     def of_weights(self, network: Network) -> dict[Tensor, Activation]:
         """The input of each int8 convolution of `network`, which must fit, see `check`; by its weights."""
         return {
-            module.weight: self.activations[name]
+            module.weight: Activation(self.ranges[name], self.means[name])
             for name, module in convolutions(network).items()
             if name not in self.fp32_layers
         }
@@ -64,8 +81,8 @@ class Quantization:
     def check(self, found: Mapping[str, nn.Conv2d]) -> None:
         """Raise QuantizationError unless the activations are those of the convolutions `found`."""
         channels = {name: module.in_channels for name, module in found.items()}
-        means = {name: len(read.means) for name, read in self.activations.items()}
-        names = channels.keys() | means.keys() | self.fp32_layers
+        means = {name: len(read) for name, read in self.means.items()}
+        names = channels.keys() | means.keys() | set(self.fp32_layers)
         if wrong := sorted(name for name in names if channels.get(name, -1) != means.get(name)):
             told = ", ".join(in_one_line(name)[:100] for name in wrong[:_TOLD])
             raise QuantizationError(

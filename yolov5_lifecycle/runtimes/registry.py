@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -11,9 +13,8 @@ import torch
 
 from yolov5_lifecycle.models.model import Export, Model
 from yolov5_lifecycle.printable import shell_command
-from yolov5_lifecycle.runtimes.cache import installed_build
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16
 from yolov5_lifecycle.runtimes.quantization import Quantization, QuantizationError
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_precision
@@ -43,6 +44,18 @@ def installed_runtimes() -> list[str]:
     return [name for name, packages in REQUIREMENTS.items() if all(map(installed_build, packages))]
 
 
+def installed_build(package: str) -> str | None:
+    """File and modification time of what `import package` would load; differs between versions.
+
+    Independent of the distribution: onnxruntime may come from onnxruntime-gpu. None when the package is
+    missing or only a folder of that name.
+    """
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        return None
+    return f"{spec.origin} {Path(spec.origin).stat().st_mtime_ns}"
+
+
 def load_runtime(
     model: Model,
     runtime: str,
@@ -70,16 +83,11 @@ def load_runtime(
         resolve_precision(precision, torch.device("cpu"))
         precision = "fp32"
     engine = imported_engine(runtime, precision)
-    from yolov5_lifecycle.runtimes.compiled_runtime import (
-        CompiledRuntime,
-        Compiler,
-        check_processor,
-        processor_threads,
-    )
+    from yolov5_lifecycle.runtimes.compiled_runtime import CompiledRuntime, Compiler, Threads, check_processor
 
     check_processor(device, engine)
     compiler = Compiler(model, engine, quantization if precision == "int8" else None)
-    return CompiledRuntime(compiler, processor_threads(), kept=kept)
+    return CompiledRuntime(compiler, Threads(), kept=kept)
 
 
 def load_export(export: Export, runtime: str, *, device: str, precision: str) -> Runtime:

@@ -21,11 +21,13 @@ import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache import DiskCache, cache_folder, installed_build, processor
+from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, read_cache, write_cache
+from yolov5_lifecycle.runtimes.processor import processor
 from yolov5_lifecycle.runtimes.registry import (
     COARSE,
     COARSE_RUNTIME,
     REQUIREMENTS,
+    installed_build,
     installed_runtimes,
     load_runtime,
 )
@@ -38,7 +40,6 @@ _HARDLY_SLOWER = 1.15
 _ROUNDS = 9
 _WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
-_MAX_CACHE_BYTES = 1 << 20
 _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 
 Key = TypeVar("Key")
@@ -78,12 +79,14 @@ def choose_runtime(
         return Choice("torch", f"the only one for {torch_device.type}")
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
-    cache = DiskCache(folder or cache_folder("choices"), _MAX_CACHE_BYTES)
-    key = _key(model, installed, frame_hw)
-    if (record := cache.read(key)) is not None:
-        return _fastest(json.loads(record), f"cached in {cache.folder / key}")
+    path = (folder or cache_folder()) / _key(model, installed, frame_hw)
+    if (figures_ms := read_cache(path)) is not None:
+        return _fastest(figures_ms, f"cached in {path}")
     figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
-    cache.keep(key, json.dumps(figures_ms).encode())
+    try:
+        write_cache(path, figures_ms)
+    except NO_PLACE as error:
+        _log.warning("Not cached in %s: %s", path.parent, error)
     return _fastest(figures_ms, "measured now")
 
 

@@ -6,6 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
 import cv2
@@ -47,7 +48,7 @@ _log = logging.getLogger(__name__)
 
 
 class TorchRuntime:
-    """A `network` that is fused, channels-last and on `device`, for one thread; others may share the network.
+    """A `network` that is `prepared`, for one thread; others may share the network.
 
     `kept`: see `NetworksByShape`. `threads`: how many of the processor torch uses in a run, and after it;
     None: as many as it uses in the calling thread.
@@ -77,13 +78,6 @@ class TorchRuntime:
         )
 
     @classmethod
-    def of(
-        cls, network: Network, *, device: torch.device, dtype: torch.dtype, kept: int = MIN_KEPT
-    ) -> TorchRuntime:
-        """Take ownership of `network`: fuse, convert and move it. `kept`: see `NetworksByShape`."""
-        return cls(_prepared(network, device, dtype), device=device, dtype=dtype, kept=kept)
-
-    @classmethod
     def load(cls, model: Model, *, device: str, precision: str, kept: int = MIN_KEPT) -> TorchRuntime:
         """Load `model` on the device and in the precision of the settings; `kept`: see `NetworksByShape`.
 
@@ -92,7 +86,8 @@ class TorchRuntime:
         torch_device = resolve_device(device)
         dtype = resolve_precision(precision, torch_device)
         try:
-            return cls.of(model.network(), device=torch_device, dtype=dtype, kept=kept)
+            network = prepared(model.network(), torch_device, dtype)
+            return cls(network, device=torch_device, dtype=dtype, kept=kept)
         except (torch.OutOfMemoryError, torch.AcceleratorError) as error:
             problem = _first_line(error)
         if _is_lost(torch_device):
@@ -156,12 +151,10 @@ class TorchRuntime:
             )
         total = torch.get_num_threads()
         self._threads = (total, total)  # a thread that begins while a lane runs has the number of the lane
-        return [self._for_another_thread((threads, total)) for _ in range(count)]
-
-    def _for_another_thread(self, threads: tuple[int, int] | None) -> TorchRuntime:
         if (network := self._network) is None:
             raise closed()
-        return TorchRuntime(network, device=self._device, dtype=self._dtype, kept=self._kept, threads=threads)
+        lane = partial(TorchRuntime, network, device=self._device, dtype=self._dtype, kept=self._kept)
+        return [lane(threads=(threads, total)) for _ in range(count)]
 
     def close(self) -> None:
         """See `Runtime`."""
@@ -228,7 +221,8 @@ def _likely(raw: Tensor, min_objectness: float) -> NDArray[np.float32]:
     return rows
 
 
-def _prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:
+def prepared(network: Network, device: torch.device, dtype: torch.dtype) -> Network:
+    """`network`, fused, in `dtype` but for its anchors, channels-last and on `device`."""
     fuse(network)
     for module in (*network.model[:-1], *network.head.children()):  # the anchors stay float32
         module.to(dtype)

@@ -64,7 +64,7 @@ def test_a_kept_image_has_the_detections_that_were_published(tmp_path: Path) -> 
     told: list[str] = []
     data = read_yolo_folder(tmp_path, Problems(told.append))
     assert told == []
-    assert len(data.images[0].labels.boxes) == len(frame.objects)
+    assert len(data.images[0].boxes) == len(frame.objects)
     folder = CollectedFolder(tmp_path, Quota(max_bytes=1 << 30, min_free_bytes=0))  # which the node has freed
     assert len(folder) == 1
     folder.close()

@@ -23,7 +23,7 @@ from yolov5_lifecycle.offline.terminal import Terminal, exit_code
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import write_output
 from yolov5_lifecycle.quantization.calibration_file import Calibration, path_beside, write_calibration
-from yolov5_lifecycle.runtimes.processor_abilities import abilities
+from yolov5_lifecycle.runtimes.processor import abilities
 from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import validated
@@ -87,7 +87,9 @@ def _calibrated(arguments: argparse.Namespace, terminal: Terminal) -> str:
     calibrating = Calibrating(weights.model, images, selection=selection, tell=terminal.begin)
     quantization = calibrating.quantization()
     worth = calibrating.worth(quantization)
-    calibration = Calibration.of(quantization, weights.sha256, settings.image_size)
+    calibration = Calibration(
+        **dict(quantization), weights_sha256=weights.sha256, image_size=settings.image_size
+    )
     write_calibration(path, calibration)
     return report(calibration, worth, path)
 

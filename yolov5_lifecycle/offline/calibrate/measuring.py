@@ -11,15 +11,15 @@ import torch
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.models.cost import size_multiple
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.offline.calibrate.calibration_images import halves
 from yolov5_lifecycle.quantization.activation_ranges import activations, most_sensitive, network_pixels
-from yolov5_lifecycle.runtimes.processor_abilities import abilities, has_bf16, weight_bits
+from yolov5_lifecycle.runtimes.processor import abilities, has_bf16
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization
-from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes, load_runtime
+from yolov5_lifecycle.runtimes.registry import COARSE_RUNTIME, installed_runtimes
 from yolov5_lifecycle.runtimes.speed import Taken, median, time_taken
 from yolov5_lifecycle.tracking.assignment import iou_matrix
 
@@ -60,26 +60,31 @@ class Worth:
     def verdict(self, image_size: int) -> str:
         """Whether int8 pays: it must be good, and faster than the fastest fp32. With the line to type."""
         (int8,) = (each for each in self.measured if each.precision == "int8")
-        in_fp32 = (each for each in self.measured if each.precision == "fp32")
-        fp32 = min((each.taken for each in in_fp32), key=lambda taken: taken.wall_ms)
+        in_fp32 = (each.taken for each in self.measured if each.precision == "fp32")
+        fp32 = min(in_fp32, key=lambda taken: taken.wall_ms)
         speedup, saving = fp32.wall_ms / int8.taken.wall_ms, fp32.processor_ms / int8.taken.processor_ms
         told = (
             f"int8 is {speedup:.2f} x as fast as fp32 here ({int8.taken.wall_ms:.1f} ms, not "
             f"{fp32.wall_ms:.1f}; {saving:.2f} x by processor time) and agrees with it to {int8.f1:.3f} (F1)"
         )
+        problem = self._disagreement(int8.f1)
+        if not problem and min(speedup, saving) < MIN_SPEEDUP:
+            problem = f"{told}; it pays from {MIN_SPEEDUP:g} x by both times"
+        if problem:
+            return f"int8 does not pay: {problem}. Keep precision auto, which is fp32 on a CPU."
+        line = "ros2 param set /yolov5 precision int8"
+        return f"int8 pays: {told}. With image_size {image_size}, type: {line}"
+
+    def _disagreement(self, f1: float) -> str:
+        """Why int8 with this agreement is not good, or not known to be; "" if it is."""
         if self.detections < MIN_DETECTIONS:
-            problem = (
+            return (
                 f"only {self.detections} detections were compared with fp32, which is less than "
                 f"{MIN_DETECTIONS}: calibrate with other or more images"
             )
-        elif int8.f1 < MIN_AGREEMENT:
-            problem = f"int8 agrees with fp32 to {int8.f1:.3f} (F1), which is less than {MIN_AGREEMENT:g}"
-        elif min(speedup, saving) < MIN_SPEEDUP:
-            problem = f"{told}; it pays from {MIN_SPEEDUP:g} x by both times"
-        else:
-            line = "ros2 param set /yolov5 precision int8"
-            return f"int8 pays: {told}. With image_size {image_size}, type: {line}"
-        return f"int8 does not pay: {problem}. Keep precision auto, which is fp32 on a CPU."
+        if f1 < MIN_AGREEMENT:
+            return f"int8 agrees with fp32 to {f1:.3f} (F1), which is less than {MIN_AGREEMENT:g}"
+        return ""
 
 
 def measured(
@@ -143,7 +148,6 @@ class Calibrating:
         self._learned, self._compared = halves(images)
         self._selection = selection
         self._tell = tell
-        self._bits = weight_bits(abilities())
 
     def quantization(self) -> Quantization:
         """All layers in int8 if that agrees well with fp32, else half of them.
@@ -152,11 +156,11 @@ class Calibrating:
         """
         read, order = self._activations()
         self._tell("comparing int8 with fp32")
-        whole = Quantization(read, frozenset(), self._bits)
+        whole = Quantization.of(read)
         truth = self._detections(self._detector(COARSE_RUNTIME, "fp32"))
         f1 = agreement(truth, self._detections(self._detector(COARSE_RUNTIME, "int8", whole)))
         kept = [] if f1 >= _GOOD_AGREEMENT else order[: round(_FP32_SHARE * len(order))]
-        return Quantization(read, frozenset(kept), self._bits)
+        return Quantization.of(read, kept)
 
     def worth(self, quantization: Quantization) -> Worth:
         """What int8 with `quantization` is worth on this computer."""
@@ -183,7 +187,6 @@ class Calibrating:
             network,
             read,
             torch.cat(frames[:: -(-len(frames) // SENSITIVITY_FRAMES)]),
-            weight_bits=self._bits,
             progress=lambda done: self._tell(f"sensitivity: {done} of {len(read)} layers"),
         )
         return read, order
@@ -194,11 +197,11 @@ class Calibrating:
         return found
 
     def _detector(self, runtime: str, precision: str, quantization: Quantization | None = None) -> Detector:
-        model = self._model
-        return Detector(
-            load_runtime(model, runtime, device="cpu", precision=precision, quantization=quantization),
-            class_names=model.class_names,
+        return load_detector(
+            self._model,
+            device="cpu",
+            precision=precision,
             image_size=max(self._learned[0].size_hw),
-            stride=size_multiple(model.architecture),
-            mask_coefficients=model.architecture.mask_coefficients,
+            runtime=runtime,
+            quantization=quantization,
         )

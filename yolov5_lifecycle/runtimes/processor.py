@@ -1,11 +1,11 @@
-"""Precisions besides fp32 that the processor computes quickly."""
+"""The processor: what it is called, and which precisions besides fp32 it computes quickly."""
 
 from __future__ import annotations
 
 import platform
+from functools import cache
+from pathlib import Path
 from typing import Literal
-
-from yolov5_lifecycle.runtimes.cache import processor
 
 _TOLD = (
     *("avx2", "avx512f", "avx_vnni", "avx512_vnni", "avx512_bf16", "amx_int8", "amx_bf16"),
@@ -14,8 +14,21 @@ _TOLD = (
 _INTEGER_PRODUCTS = {"avx_vnni", "avx512_vnni", "amx_int8"}
 _BFLOAT16 = {"avx512_bf16", "amx_bf16"}
 _X86 = ("x86_64", "AMD64")
+# In /proc/cpuinfo: CPU model and features, on x86 and ARM.
+_RELEVANT_FIELDS = ("model name", "flags", "Features", "CPU implementer", "CPU part")
 
 
+def processor() -> str:
+    """Architecture, model name (if available) and features of the CPU."""
+    try:
+        first, *_ = Path("/proc/cpuinfo").read_text(errors="replace").split("\n\n")
+    except OSError:  # not Linux
+        return f"{platform.machine()} {platform.processor()}"
+    relevant = [line for line in first.splitlines() if line.startswith(_RELEVANT_FIELDS)]
+    return "\n".join([platform.machine(), *relevant])
+
+
+@cache
 def abilities(described: str | None = None) -> tuple[str, ...]:
     """Instruction sets that matter for int8 and bf16, in a fixed order.
 
