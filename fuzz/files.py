@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import json
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin
 from support.recorded_scene import record, text
 
+from yolov5_lifecycle.evaluation.coco_file import read_coco_file
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES, Boxes, DataError, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import parsed_labels, read_description, read_yolo_folder
 from yolov5_lifecycle.offline.recording import RecordingError, open_recording
@@ -58,6 +60,17 @@ def check_labels(data: bytes) -> None:
         _check_boxes(labels.scaled(_SIZE_HW), _CLASSES)
 
 
+def check_coco_file(data: bytes) -> None:
+    """Expect boxes of the file's own classes, or a one-line error."""
+    written("1.jpg", b"")
+    path = written("truth.json", data)
+    found = taken(partial(read_coco_file, path, Problems(_check_line), root=path.parent), DataError)
+    if found is not None:
+        assert found.class_names is not None
+        for image in found.images:
+            _check_boxes(image.boxes, len(found.class_names))
+
+
 def check_description(data: bytes) -> None:
     """Expect class names and folders, or a one-line error."""
     if description := taken(partial(read_description, written("data.yaml", data)), DataError):
@@ -85,6 +98,16 @@ def check_recording(data: bytes) -> None:
 def label_seeds() -> Iterator[bytes]:
     yield b"0 0.5 0.5 0.2 0.2\n2 .1 .1 1e-1 0.2\n"
     yield b"1 0.1 0.1 0.9 0.1 0.5 0.9\n"
+
+
+def coco_seeds() -> Iterator[bytes]:
+    yield json.dumps(
+        {
+            "images": [{"id": 1, "file_name": "1.jpg", "height": 100, "width": 200}],
+            "annotations": [{"image_id": 1, "category_id": 7, "bbox": [1, 2, 30, 40], "iscrowd": 0}],
+            "categories": [{"id": 7, "name": "cat"}],
+        }
+    ).encode()
 
 
 def description_seeds() -> Iterator[bytes]:

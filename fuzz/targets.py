@@ -207,6 +207,7 @@ TARGETS = {
     "safetensors": Target(check_safetensors, lambda: [_header(), *_costly_headers()]),
     "exports": Target(check_export, lambda: [hostile_onnx.graph_without_weights()]),
     "labels": Target(files.check_labels, files.label_seeds),
+    "coco-files": Target(files.check_coco_file, files.coco_seeds),
     "descriptions": Target(files.check_description, files.description_seeds),
     "image-lists": Target(files.check_image_list, files.image_list_seeds),
     "recordings": Target(files.check_recording, files.recording_seeds),

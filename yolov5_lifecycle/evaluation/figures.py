@@ -105,8 +105,8 @@ def counts_at(
     """
     drawn = np.ones((1, matches.objects.shape[1]), np.int32) if weights is None else weights
     is_above = matches.scores > thresholds[matches.class_ids]
-    is_right = matches.is_right[0]
-    counted = (is_above & is_right, is_above & ~is_right)
+    is_right, is_ignored = matches.is_right[0], matches.is_ignored[0]
+    counted = (is_above & is_right, is_above & ~is_right & ~is_ignored)
     per_image: tuple[Iterable[NDArray[np.int64]], ...] = (
         *(_by_image(matches, each) for each in counted),
         matches.objects,
@@ -138,9 +138,10 @@ def sweep(matches: Matches, class_id: int | None = None) -> tuple[NDArray[np.flo
     rows = slice(None) if class_id is None else matches.of_class(class_id)
     order = np.argsort(-matches.scores[rows], kind="stable")
     scores, is_right = matches.scores[rows][order], matches.is_right[0, rows][order]
+    is_wrong = ~is_right & ~matches.is_ignored[0, rows][order]
     is_last = np.append(scores[1:] < scores[:-1], True)[: len(scores)]
     objects = matches.objects[slice(None) if class_id is None else class_id].sum()
-    return scores[is_last], Counts(np.cumsum(is_right)[is_last], np.cumsum(~is_right)[is_last], objects)
+    return scores[is_last], Counts(np.cumsum(is_right)[is_last], np.cumsum(is_wrong)[is_last], objects)
 
 
 def confusion_matrix(
@@ -155,8 +156,8 @@ def confusion_matrix(
     is_above = matches.scores > thresholds[matches.class_ids]
     is_right = is_above & matches.is_right[0]
     is_free = np.zeros(len(matches.rows), np.bool_)
-    is_free[matches.rows] = is_above & ~is_right
-    is_missed = np.ones(sum(len(image.truth) for image in images), np.bool_)
+    is_free[matches.rows] = is_above & ~is_right & ~matches.is_ignored[0]
+    is_missed = np.concatenate([~image.truth.is_crowd for image in images])
     is_missed[matches.targets[is_right]] = False
     free = np.split(is_free, np.cumsum([len(image.found) for image in images])[:-1])
     missed = np.split(is_missed, np.cumsum([len(image.truth) for image in images])[:-1])
@@ -184,7 +185,7 @@ def occurring(
 def _rest(image: EvaluatedImage, is_free: NDArray[np.bool_], is_missed: NDArray[np.bool_]) -> EvaluatedImage:
     """The detections `is_free` and objects `is_missed` of an image, all of one class."""
     found, xyxy = image.found[is_free], image.truth.xyxy[is_missed]
-    truth = Boxes(xyxy, np.zeros(len(xyxy), np.int64))
+    truth = Boxes(xyxy, np.zeros(len(xyxy), np.int64), np.zeros(len(xyxy), np.bool_))
     return replace(image, truth=truth, found=replace(found, class_ids=np.zeros(len(found), np.int64)))
 
 
@@ -256,14 +257,18 @@ def _average_precisions(
     """Average precisions (r,) of a class at IoU 0.5, and in the mean of all IoU thresholds."""
     of_class = matches.of_class(class_id)
     images, is_right = matches.images[of_class], matches.is_right[:, of_class]
+    is_ignored = matches.is_ignored[:, of_class]
     found = np.empty((len(weights), len(is_right)), np.float64)
     size = max(MAX_ELEMENTS // max(len(images), 1), 1)
     for portion in (slice(start, start + size) for start in range(0, len(weights), size)):
         # Detections first: sums over them run along whole rows, which is ten times faster.
         drawn = np.ascontiguousarray(weights[portion].T)[images]  # (d, r)
         objects = (weights[portion] @ matches.objects[class_id]).astype(np.float64)
-        counted = np.cumsum(drawn, axis=0, dtype=np.int32)
-        for level, right in enumerate(is_right):
+        all_of = np.cumsum(drawn, axis=0, dtype=np.int32)
+        for level, (right, ignored) in enumerate(zip(is_right, is_ignored, strict=True)):
+            counted = all_of
+            if ignored.any():
+                counted = np.cumsum(drawn * ~ignored[:, None], axis=0, dtype=np.int32)
             found[portion, level] = _average_precision(drawn[right], counted[right], objects)
     return found[:, 0], found.mean(axis=1)
 

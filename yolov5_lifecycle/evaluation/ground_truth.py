@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +43,12 @@ def check_count(
     """Raise DataError if there are more than `limit` of `what`; `where` and `remedy` are for the message."""
     if count > limit:
         raise DataError(f"{where}: expected at most {limit:,} {what}, found {count:,} or more: {remedy}.")
+
+
+def check_box_count(count: int) -> None:
+    """Raise DataError if an image has more than MAX_BOXES_PER_IMAGE objects."""
+    remedy = "the image is left out; correct its labels"
+    check_count("the image", "objects", count, MAX_BOXES_PER_IMAGE, remedy=remedy)
 
 
 def read_data_file(path: Path, max_bytes: int) -> bytes:
@@ -81,14 +87,18 @@ class Boxes:
     """Ground truth boxes of an image, one row per object."""
 
     xyxy: NDArray[np.float64]
-    """(n, 4) finite corners, x1 < x2 and y1 < y2, in pixels or in fractions of the image."""
+    """(n, 4) finite corners, x1 < x2 and y1 < y2, in pixels or in fractions, see `LabelledImage`."""
     class_ids: NDArray[np.int64]
     """(n,) indices into the class names of the data set or, where it has none, of the model."""
+    is_crowd: NDArray[np.bool_]
+    """(n,) whether the box surrounds many objects, as COCO's `iscrowd`: detections in it are not counted."""
 
     @classmethod
-    def of(cls, rows: ArrayLike, class_ids: Sequence[int]) -> Boxes:
-        """Boxes with the corners `rows`."""
-        return cls(np.array(rows, np.float64).reshape(-1, 4), np.array(class_ids, np.int64))
+    def of(cls, rows: ArrayLike, class_ids: Sequence[int], is_crowd: Sequence[bool] | None = None) -> Boxes:
+        """Boxes with the corners `rows`; None: none of them is a crowd."""
+        xyxy = np.array(rows, np.float64).reshape(-1, 4)
+        crowds = np.zeros(len(xyxy), np.bool_) if is_crowd is None else np.array(is_crowd, np.bool_)
+        return cls(xyxy, np.array(class_ids, np.int64), crowds)
 
     def __len__(self) -> int:
         return len(self.class_ids)
@@ -96,14 +106,31 @@ class Boxes:
     def scaled(self, size_hw: tuple[int, int]) -> Boxes:
         """These, in fractions, in the pixels of an image of `size_hw`."""
         height, width = size_hw
-        return Boxes(self.xyxy * (width, height, width, height), self.class_ids)
+        return Boxes(self.xyxy * (width, height, width, height), self.class_ids, self.is_crowd)
 
 
-class LabelledImage(NamedTuple):
-    """An image file and its labels, in fractions of its width and height."""
+@dataclass(frozen=True, eq=False)
+class LabelledImage:
+    """An image file and its labels: boxes in pixels, or in fractions of its width and height."""
 
     path: Path
     boxes: Boxes
+    in_fractions: bool = False
+    size_hw: tuple[int, int] | None = None
+    """Height and width of the image that the labels were made for, if known."""
+
+    def in_pixels(self, size_hw: tuple[int, int]) -> Boxes:
+        """The boxes in an image of `size_hw`; raises DataError if they are outside, or for another size."""
+        if self.size_hw is not None and self.size_hw != size_hw:
+            expected, found = (f"{width} x {height}" for height, width in (self.size_hw, size_hw))
+            raise DataError(f"the labels are for an image of {expected} pixels, found {found}")
+        if self.in_fractions:
+            return self.boxes.scaled(size_hw)
+        height, width = size_hw
+        xyxy = self.boxes.xyxy
+        if ((xyxy[:, :2] >= (width, height)) | (xyxy[:, 2:] <= 0)).any():
+            raise DataError(f"a label is outside of its image of {width} x {height} pixels")
+        return self.boxes
 
 
 @dataclass(frozen=True)
@@ -114,21 +141,25 @@ class LabelledFolder:
     images: tuple[LabelledImage, ...]
 
 
-def confined_path(root: Path, text: str, *, base: Path) -> Path:
+def confined_path(root: Path, text: str, *, base: Path | None = None) -> Path:
     """The path `text`, relative to `base`; raises DataError if it is outside of the folder `root`.
 
-    `root` is absolute. Links are followed, `..` is not looked up.
+    `root` is absolute; without `base` it is also what `text` is relative to. Links are followed, `..` is not
+    looked up.
     """
     if not text or "\0" in text or len(text) > 4096:
         raise DataError("expected the path of a file or folder")
-    path = Path(os.path.normpath(base / text))
+    path = Path(os.path.normpath((base or root) / text))
     shown = in_one_line(text, _MAX_PATH)
     if _OF_WINDOWS.search(text) and not _exists(path):
-        slashes = r"; type sed -i 's|\\|/|g' FILE" if "\\" in text else ""
-        drive = f"; make it relative to {base}" if text[1:2] == ":" else ""
+        backslash = r"\\" if base else r"\\\\"  # JSON has each twice
+        slashes = f"; type sed -i 's|{backslash}|/|g' FILE" if "\\" in text else ""
+        drive = f"; make it relative to {base or root}" if text[1:2] == ":" else ""
         raise DataError(f"'{shown}' is a path of Windows{slashes}{drive}")
     if not path.is_relative_to(root):
-        remedy = "; --root names the folder that may be read" if _exists(path) else ""
+        # What is relative to the root leaves every root.
+        is_helped = (base is not None or Path(text).is_absolute()) and _exists(path)
+        remedy = "; --root names the folder that may be read" if is_helped else ""
         raise DataError(f"'{shown}' lies outside of {root}{remedy}")
     return path
 

@@ -70,7 +70,7 @@ class EvaluatedClasses:
             raise DataError(f"expected a class from 0 to {len(self.of_data) - 1}, found {found}")
         indices = self.of_data[boxes.class_ids]
         is_shared = indices >= 0
-        return Boxes(boxes.xyxy[is_shared], indices[is_shared])
+        return Boxes(boxes.xyxy[is_shared], indices[is_shared], boxes.is_crowd[is_shared])
 
     def found(self, detections: Detections, model: int) -> Detections:
         """The MAX_DETECTIONS best of each of these classes, of the model number `model`."""
@@ -118,12 +118,14 @@ class Matches:
     """(d,) indices of images."""
     is_right: NDArray[np.bool_]
     """(10, d): it matches an object, at each of the 10 IoU thresholds from 0.5 to 0.95."""
+    is_ignored: NDArray[np.bool_]
+    """(10, d): it is in a crowd, and neither right nor wrong."""
     rows: NDArray[np.int64]
     """(d,) where it is among the detections of all images, one image after the other."""
     targets: NDArray[np.int64]
     """(d,) where the object that it matches at IoU 0.5 is among those of all images, if it is right."""
     objects: NDArray[np.int64]
-    """(classes, images) numbers of objects."""
+    """(classes, images) numbers of objects, without crowds."""
     ap50: NDArray[np.float64]
     """(classes,) average precision at IoU 0.5; NaN for a class without objects."""
     ap50_95: NDArray[np.float64]
@@ -144,8 +146,9 @@ def match(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> Match
     image_ids = np.array([one["image_id"] - 1 for one in found], np.int64)[rows]
     scores = _joined(results, "dtScores", np.empty(0))
     matched = _joined(results, "dtMatches", np.empty((10, 0))).astype(np.int64)
+    is_ignored = _joined(results, "dtIgnore", np.empty((10, 0))).astype(np.bool_)
     objects = [
-        0 if result is None else len(result["gtIds"])
+        0 if result is None else np.count_nonzero(np.equal(result["gtIgnore"], 0))
         for result in evaluation.evalImgs  # sorted by class, then by image
     ]
     order = np.lexsort((-scores, class_ids))
@@ -157,7 +160,8 @@ def match(images: Sequence[EvaluatedImage], class_names: Sequence[str]) -> Match
         class_ids[order],
         scores[order],
         image_ids[order],
-        is_right=(matched > 0)[:, order],
+        is_right=((matched > 0) & ~is_ignored)[:, order],
+        is_ignored=is_ignored[:, order],
         rows=rows[order],
         targets=matched[0, order] - 1,
         objects=np.array(objects, np.int64).reshape(len(class_names), len(images)),
@@ -175,7 +179,7 @@ def truth_dataset(images: Sequence[EvaluatedImage], class_names: Sequence[str]) 
             for number, image in enumerate(images, start=1)
         ],
         "annotations": _annotations(
-            [(truth.xyxy, truth.class_ids, np.zeros_like(truth.class_ids)) for truth in truths], "iscrowd"
+            [(truth.xyxy, truth.class_ids, truth.is_crowd.astype(np.int64)) for truth in truths], "iscrowd"
         ),
         "categories": [{"id": number, "name": name} for number, name in enumerate(class_names, start=1)],
     }

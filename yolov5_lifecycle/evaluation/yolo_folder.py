@@ -25,6 +25,7 @@ from yolov5_lifecycle.evaluation.ground_truth import (
     LabelledImage,
     Problems,
     absolute,
+    check_box_count,
     check_count,
     confined_path,
     read_data_file,
@@ -237,7 +238,7 @@ class _Reader:
             self._count(where, "characters in label files", len(text or ""), MAX_LABEL_CHARACTERS)
             if boxes is not None:
                 self._count(where, "objects in a data set", len(boxes), MAX_OBJECTS)
-                yield LabelledImage(path, boxes)
+                yield LabelledImage(path, boxes, in_fractions=True)
 
     def _count(self, where: Path, what: str, more: int, limit: int) -> None:
         self._counts[what] += more
@@ -293,8 +294,7 @@ def parsed_labels(text: str, class_count: int) -> Boxes:
                 boxes[_object(fields, class_count)] = None
         except DataError as error:
             raise DataError(f"line {number}: {error}") from None
-    remedy = "the image is left out; correct its labels"
-    check_count("the image", "objects", len(boxes), MAX_BOXES_PER_IMAGE, remedy=remedy)
+    check_box_count(len(boxes))
     return Boxes.of(*zip(*boxes, strict=True)) if boxes else Boxes.of([], [])
 
 

@@ -19,6 +19,7 @@ from support.detected_offline import prepare_once
 from support.evaluated_offline import (
     FAST,
     WEIGHTS,
+    as_coco,
     evaluate,
     report_of,
     run,
@@ -123,6 +124,15 @@ def test_a_file_whose_name_is_not_utf_8_is_evaluated_and_reported(data: Path, tm
     assert report_of(tmp_path / "evaluated")["data"]["images"] == 24
     truth = json.loads((tmp_path / "evaluated" / "ground_truth.json").read_text())
     assert any(strange in one["file_name"] for one in truth["images"])
+
+
+@pytest.mark.long
+def test_coco_and_yolo_give_the_same_figures(evaluated: Path, data: Path, tmp_path: Path) -> None:
+    assert evaluate(as_coco(data), "--output", str(tmp_path / "coco")) == 0
+    of_yolo, of_coco = report_of(evaluated), report_of(tmp_path / "coco")
+    assert of_coco["data"]["kind"] == "COCO"
+    for row, other in zip(of_yolo["classes"], of_coco["classes"], strict=True):
+        assert other == pytest.approx(row, abs=1e-4)
 
 
 @pytest.mark.long

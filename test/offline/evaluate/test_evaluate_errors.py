@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin
 from support.compressed_files import claiming_too_much
 from support.detected_offline import prepare_raising
-from support.evaluated_offline import FAST, WEIGHTS, evaluate, report_of, run, shapes
+from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, report_of, run, shapes
 from support.recorded_scene import raw, record
 
 from yolov5_lifecycle.offline.evaluate import evaluating
@@ -50,6 +53,14 @@ def test_broken_images_and_labels_are_listed_counted_and_left_out(
     assert "not evaluated: 2 broken labels, 3 unusable images\n" in output
 
 
+def test_an_image_of_another_size_than_its_labels_is_left_out(
+    data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2.imwrite(str(data / "images" / "val" / "0003.jpg"), np.zeros((100, 100, 3), np.uint8))
+    assert evaluate(as_coco(data)) == 0
+    assert "the labels are for an image of 320 x 256 pixels, found 100 x 100" in capsys.readouterr().err
+
+
 def no_data(folder: Path) -> Path:
     return folder / "missing"
 
@@ -59,10 +70,12 @@ def a_text(folder: Path) -> Path:
     return folder / "notes.txt"
 
 
-def without_objects(folder: Path) -> Path:
-    data = shapes(folder / "shapes", images=1)
-    (data / "labels" / "val" / "0000.txt").write_text("")
-    return data
+def crowds_only(folder: Path) -> Path:
+    source = as_coco(shapes(folder / "shapes", images=1))
+    content = json.loads(source.read_text())
+    content["annotations"] = [one | {"iscrowd": 1} for one in content["annotations"]]
+    source.write_text(json.dumps(content))
+    return source
 
 
 def a_recording(folder: Path) -> Path:
@@ -74,8 +87,8 @@ def a_recording(folder: Path) -> Path:
     ("make", "reason"),
     [
         pytest.param(no_data, "file or folder not found", id="missing"),
-        pytest.param(a_text, "or its data.yaml. Convert other labels to", id="a text"),
-        pytest.param(without_objects, "images has an object of the classes", id="no objects"),
+        pytest.param(a_text, "expected a folder with images/ and labels/", id="a text"),
+        pytest.param(crowds_only, "images has an object of the classes", id="crowds only"),
         pytest.param(a_recording, "found a recording: play it to a detector with `collect", id="recording"),
     ],
 )
@@ -146,6 +159,13 @@ def test_a_wrong_command_line_ends_it_with_2(
     assert end.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert reason in line
+
+
+def test_an_option_of_other_data_ends_it_with_2(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        evaluate(as_coco(data), "--split", "val")
+    assert end.value.code == 2
+    assert "--split does not apply to " in capsys.readouterr().err
 
 
 def test_inference_that_fails_again_and_again_ends_it(data: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,12 +11,14 @@ from yolov5_lifecycle.evaluation.thresholds import Goal
 from yolov5_lifecycle.offline.detector_options import add_detector_options
 
 _EPILOG = """\
-DATA is a folder with images/ and labels/ in YOLO format, or its data.yaml.
+DATA is one of
+  a folder with images/ and labels/ in YOLO format, or its data.yaml
+  a COCO file (.json) next to its images
 
 examples:
   evaluate best.pt shots
   evaluate best.pt shots/data.yaml --split test --output report
-  evaluate best.pt shots --thresholds f1
+  evaluate best.pt instances_val.json --root images --thresholds f1
   evaluate best.pt shots --compare older.pt
   evaluate best.pt shots --compare runtime=openvino,image_size=320
 """
@@ -60,7 +62,7 @@ def command_parser() -> argparse.ArgumentParser:
         "--root",
         type=Path,
         metavar="FOLDER",
-        help="folder of the labelled images; nothing outside it is read (default: that of data.yaml)",
+        help="folder of the labelled images; nothing outside it is read (default: that of data.yaml or JSON)",
     )
     add_detector_options(parser)
     return parser

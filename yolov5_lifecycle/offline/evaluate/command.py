@@ -10,7 +10,8 @@ from pathlib import Path
 
 from yolov5_lifecycle.atomic_file import whole_output
 from yolov5_lifecycle.detection.prepared_model import Prepare, prepare_model
-from yolov5_lifecycle.evaluation.ground_truth import DataError, Problems
+from yolov5_lifecycle.evaluation.coco_file import read_coco_file
+from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems
 from yolov5_lifecycle.evaluation.yolo_folder import YAML_SUFFIXES, read_yolo_folder
 from yolov5_lifecycle.offline.detecting import DetectingError
 from yolov5_lifecycle.offline.detector_options import wanted_settings
@@ -42,34 +43,44 @@ def main(argv: Sequence[str] | None = None, *, prepare: Prepare = prepare_model)
     arguments = parser.parse_args(argv)
 
     def run() -> int:
-        _check_data(arguments.data)
-        if problem := _usage_problem(arguments):
+        if not arguments.data.exists():
+            raise FileNotFoundError(f"{arguments.data}: file or folder not found")
+        kind = _kind_of(arguments.data)
+        if problem := _usage_problem(arguments, kind):
             parser.error(problem)
         with closing(_Reports()) as reports:
-            return write_output(_COMMAND, _evaluated(arguments, reports, prepare))
+            return write_output(_COMMAND, _evaluated(arguments, kind, reports, prepare))
 
     return exit_code(_COMMAND, run)
 
 
-def _check_data(data: Path) -> None:
-    """Raise DataError unless `data` is a folder or a description of one, or FileNotFoundError."""
-    if not data.exists():
-        raise FileNotFoundError(f"{data}: file or folder not found")
-    if data.suffix.lower() in YAML_SUFFIXES and not data.is_dir():
-        return
+def _kind_of(data: Path) -> str:
+    """`YOLO` or `COCO`; raises DataError for anything else."""
+    is_folder, suffix = data.is_dir(), data.suffix.lower()
+    if suffix == ".json" and not is_folder:
+        return "COCO"
+    if suffix in YAML_SUFFIXES and not is_folder:
+        return "YOLO"
     if is_recording(data):
         raise DataError(
             f"{data}: expected labelled images, found a recording: play it to a detector with "
             "`collect: true` and a `collect_dir`, correct the labels there, and name that folder."
         )
-    if not data.is_dir():
-        raise DataError(
-            f"{data}: expected a folder with images/ and labels/, or its data.yaml. Convert other labels to "
-            "YOLOv5's text files, or export them again as such."
-        )
+    if is_folder:
+        return "YOLO"
+    raise DataError(
+        f"{data}: expected a folder with images/ and labels/, its data.yaml or a COCO file (.json)."
+    )
 
 
-def _evaluated(arguments: argparse.Namespace, reports: _Reports, prepare: Prepare) -> str:
+def _labelled(arguments: argparse.Namespace, kind: str, problems: Problems) -> LabelledFolder:
+    """The images and labels; raises DataError if nothing can be used, and OSError."""
+    if kind == "COCO":
+        return read_coco_file(arguments.data, problems, root=arguments.root)
+    return read_yolo_folder(arguments.data, problems, split=arguments.split, root=arguments.root)
+
+
+def _evaluated(arguments: argparse.Namespace, kind: str, reports: _Reports, prepare: Prepare) -> str:
     """What is printed; the files are written."""
     wanted = [_settings(arguments, [])]
     if arguments.compare is not None:
@@ -79,13 +90,13 @@ def _evaluated(arguments: argparse.Namespace, reports: _Reports, prepare: Prepar
     with ExitStack() as stack:
         folder = stack.enter_context(whole_output(arguments.output)) if arguments.output else None
         reports.begin("reading the labels")
-        data = read_yolo_folder(arguments.data, reports.problems, split=arguments.split, root=arguments.root)
+        data = _labelled(arguments, kind, reports.problems)
         classes, evaluations = evaluate_models(
             data, wanted, observer=reports, problems=reports.problems, prepare=prepare
         )
         reports.begin("computing the figures")
         result = EvaluationResult(
-            arguments.data, classes, evaluations, reports.problems, arguments.thresholds
+            arguments.data, kind, classes, evaluations, reports.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
         if folder is not None:
@@ -127,7 +138,7 @@ class _Reports(Terminal):
             self.problems.add("unusable images", label, error)
 
 
-def _usage_problem(arguments: argparse.Namespace) -> str:
+def _usage_problem(arguments: argparse.Namespace, kind: str) -> str:
     """The conflict between command-line arguments, or ""."""
     compared = [] if arguments.compare is None else _compared(arguments.compare)
     named, named_other = (
@@ -135,4 +146,7 @@ def _usage_problem(arguments: argparse.Namespace) -> str:
         for assignments in (arguments.assignments, compared)
     )
     useless = (named | named_other - {"weights"}) & _USELESS.keys()
-    return "; ".join(f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless))
+    problems = [f"the setting {name} has no effect: {_USELESS[name]}" for name in sorted(useless)]
+    if kind == "COCO" and arguments.split is not None:
+        problems.append(f"--split does not apply to {arguments.data}, a COCO file")
+    return "; ".join(problems)

@@ -104,7 +104,7 @@ def evaluate_models(
     timed: dict[int, ImageFile] = {}
     found = [_found(data, model, classes, problems, timed) for model in models]
     common = sorted(set(found[0]).intersection(*found[1:]))
-    if not any(len(found[0][number].truth) for number in common):
+    if all(found[0][number].truth.is_crowd.all() for number in common):
         raise DataError(
             f"None of {len(common)} images has an object of the classes that data and model share: "
             f"{', '.join(classes.names[:10])}. {problems.summary}"
@@ -136,7 +136,7 @@ def _found(
 
     def keep(stored: ImageFile, image: ColourImage, detections: Detections) -> None:
         try:
-            truth = classes.truth(data.images[stored.number].boxes.scaled(image.size_hw))
+            truth = classes.truth(data.images[stored.number].in_pixels(image.size_hw))
         except DataError as error:
             if model.number == 0:
                 problems.add("broken labels", stored.label, error)
@@ -148,7 +148,7 @@ def _found(
         if stored.number in sample:
             timed[stored.number] = stored
 
-    files = [ImageFile(path, number) for number, (path, _) in enumerate(data.images)]
+    files = [ImageFile(labelled.path, number) for number, labelled in enumerate(data.images)]
     model.offline.run(files, expected=len(files), write=keep)
     return images
 

@@ -52,6 +52,7 @@ class EvaluationResult:
     def __init__(
         self,
         source: Path,
+        kind: str,
         classes: EvaluatedClasses,
         evaluations: Sequence[Evaluation],
         problems: Problems,
@@ -69,6 +70,7 @@ class EvaluationResult:
             "format": FORMAT,
             "data": {
                 "path": str(source),
+                "kind": kind,
                 "images": len(first.images),
                 "objects": all_classes["objects"],
                 "classes_left_out": classes.left_out,
