@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import onnx
 import pytest
 from support.colcon_workspace import REPOSITORY
 from support.random_model import random_frame, random_model
@@ -23,6 +24,7 @@ from yolov5_lifecycle.quantization.calibration_file import (
     read_calibration,
     write_calibration,
 )
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.processor import abilities, has_bf16
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization, QuantizationError, convolutions
 from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
