@@ -102,6 +102,16 @@ def test_what_is_predicted_depends_on_the_ranges_and_on_the_layers_in_fp32() -> 
     assert len(set(found)) == 3
 
 
+@pytest.mark.parametrize(("bits", "largest"), [(8, 127), (7, 63)])
+def test_weights_have_as_many_bits_as_the_processor_multiplies_exactly(
+    bits: int, largest: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("yolov5_lifecycle.runtimes.onnx_graph.weight_bits", lambda _: bits)
+    graph = onnx.ModelProto.FromString(onnx_graph(fuse(random_model().network()), (64, 96), of_ranges(2.0)))
+    integers = [each for each in graph.graph.initializer if each.data_type == onnx.TensorProto.INT8]
+    assert max(abs(onnx.numpy_helper.to_array(each).astype(int)).max() for each in integers) == largest
+
+
 @pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])
 @pytest.mark.parametrize("precision", ["int8", "bf16"])
 def test_other_runtimes_refuse_what_they_compute_slowly(runtime: str, precision: str) -> None:
