@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -113,10 +114,17 @@ def test_an_image_that_somebody_deletes_takes_no_room(tmp_path: Path) -> None:
     assert [frame.value for frame in frames_of(tmp_path)] == [1.0, 2.0, 0.5]
 
 
-def test_a_session_that_somebody_deletes_takes_no_room(tmp_path: Path) -> None:
-    folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=1))
-    keep(folder, 0)
-    shutil.rmtree(tmp_path / IMAGES / folder.session.name)
+@pytest.mark.parametrize(
+    "quota",
+    [lambda _: replace(LARGE, max_frames=1), lambda size: replace(LARGE, max_bytes=3 * size // 2)],
+    ids=["images", "bytes"],
+)
+def test_a_session_that_somebody_deletes_takes_no_room(quota: Callable[[int], Quota], tmp_path: Path) -> None:
+    before = CollectedFolder(tmp_path, LARGE)
+    keep(before, 0)
+    before.close()
+    folder = CollectedFolder(tmp_path, quota(before.size_bytes))
+    shutil.rmtree(tmp_path / IMAGES / before.session.name)
     assert keep(folder, 1, value=0.5)
     folder.close()
     assert check(tmp_path) == 1

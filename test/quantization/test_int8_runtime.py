@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import onnx
 import pytest
 from support.colcon_workspace import REPOSITORY
 from support.random_model import random_frame, random_model
@@ -23,6 +24,7 @@ from yolov5_lifecycle.quantization.calibration_file import (
     read_calibration,
     write_calibration,
 )
+from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.processor import abilities, has_bf16
 from yolov5_lifecycle.runtimes.quantization import Activation, Quantization, QuantizationError, convolutions
 from yolov5_lifecycle.runtimes.registry import installed_runtimes, load_runtime
@@ -98,6 +100,16 @@ def test_what_is_predicted_depends_on_the_ranges_and_on_the_layers_in_fp32() -> 
         runtime.close()
     assert found[0] == found[1]
     assert len(set(found)) == 3
+
+
+@pytest.mark.parametrize(("bits", "largest"), [(8, 127), (7, 63)])
+def test_weights_have_as_many_bits_as_the_processor_multiplies_exactly(
+    bits: int, largest: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("yolov5_lifecycle.runtimes.onnx_graph.weight_bits", lambda _: bits)
+    graph = onnx.ModelProto.FromString(onnx_graph(fuse(random_model().network()), (64, 96), of_ranges(2.0)))
+    integers = [each for each in graph.graph.initializer if each.data_type == onnx.TensorProto.INT8]
+    assert max(abs(onnx.numpy_helper.to_array(each).astype(int)).max() for each in integers) == largest
 
 
 @pytest.mark.parametrize("runtime", ["torch", "onnxruntime"])

@@ -94,7 +94,12 @@ def replaced_by_a_pipe(file: Path) -> None:
     "damage",
     [
         pytest.param(lambda file: file.write_bytes(b'{"torch": 1'), id="cut off"),
-        pytest.param(lambda file: file.write_bytes(b"{}" + b" " * MAX_BYTES), id="too large"),
+        pytest.param(lambda file: file.write_bytes(b'{"torch": 1.0}' + b" " * MAX_BYTES), id="too large"),
+        pytest.param(lambda file: file.write_bytes(b"[1.0]"), id="a list"),
+        pytest.param(lambda file: file.write_bytes(b"{}"), id="no runtime"),
+        pytest.param(lambda file: file.write_bytes(b'{"torch": 9.0, "tosch": 1.0}'), id="a runtime unknown"),
+        pytest.param(lambda file: file.write_bytes(b'{"torch": "1.0"}'), id="a text"),
+        pytest.param(lambda file: file.write_bytes(b'{"torch": NaN}'), id="no number"),
         pytest.param(replaced_by_a_pipe, id="a pipe"),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import torch
 from torch import Tensor, nn
 
@@ -9,6 +11,8 @@ from yolov5_lifecycle.models.architecture import Architecture, Layer
 from yolov5_lifecycle.models.blocks import RESIZING, channels_after
 from yolov5_lifecycle.models.convolutions import LAYER_KINDS, Block, Conv, activation_of
 from yolov5_lifecycle.models.head import HEADS, Detect
+
+Module = TypeVar("Module", bound=nn.Module)
 
 
 class Concat(nn.Module):
@@ -73,8 +77,8 @@ class Network(nn.Module):
         return self.head.decode([level.float() for level in self.head(features)])
 
 
-def fuse(network: Network) -> Network:
-    """Fold every normalisation of `network` (in evaluation mode) into its convolution, in place.
+def fuse(network: Module) -> Module:
+    """Fold every normalisation of `network`, or of a part of one, into its convolution, in place.
 
     Also rewrites blocks that can be computed faster in another way; see `Block.fold`.
     """

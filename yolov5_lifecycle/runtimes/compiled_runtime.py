@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from yolov5_lifecycle.images.image import Order
 from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.models.network import Network, fuse
+from yolov5_lifecycle.models.network import fuse
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.networks_by_shape import MIN_KEPT, NetworksByShape, Shape, closed
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph, prototype_graph
@@ -153,8 +153,8 @@ def check_processor(device: str, engine: Engine, *, otherwise: str = "runtime 't
 class Compiler(Program):
     """Compiles the network of `model` with `engine`, in int8 with `quantization`.
 
-    `head` is the network's last layer, which is not compiled, except for the mask prototypes of one that
-    `segments`. Its images have `channels`, 3 or 1.
+    `head` is the network's last layer, which is not compiled; `proto` its part that computes mask prototypes,
+    None if the network does not segment. Its images have `channels`, 3 or 1.
 
     Raises QuantizationError if `quantization` belongs to another network.
     """
@@ -168,7 +168,7 @@ class Compiler(Program):
             quantization.check(convolutions(network))
         self.channels = model.architecture.image_channels
         self.head = DetectionHead(network.head)
-        self.segments = isinstance(network.head, Segment)
+        self.proto = network.head.proto if isinstance(network.head, Segment) else None
 
     def network(self, shape: Shape, threads: Threads) -> _Compiled:
         """See `Program`."""
@@ -179,25 +179,20 @@ class Compiler(Program):
         return self.shared(str(shape), threads, lambda: self._graph(shape))
 
     def prototypes(self, finest: Features, threads: Threads) -> Loaded:
-        """The compiled part for mask prototypes, for features like `finest`; raises the engine's errors."""
+        """The compiled `proto` for features like `finest`; raises the engine's errors."""
+        proto = self.proto
+        assert proto is not None
         _, channels, height, width = finest.shape
         shape = (1, channels, height, width)
-        return self.shared(f"prototypes {shape}", threads, lambda: self._prototype_graph(shape))
-
-    def _fused(self) -> Network:
-        """A new network: fused weights, which are not the model's, are only needed for one graph."""
-        return fuse(self._model.network())
+        # A frame waits for this: the rest of the network, which takes much longer, is not fused.
+        return self.shared(f"prototypes {shape}", threads, lambda: prototype_graph(fuse(proto), shape))
 
     def _graph(self, shape: Shape) -> bytes:
+        """That of a new network: fused weights, which are not the model's, are only needed here."""
         try:
-            return onnx_graph(self._fused(), shape, self._quantization)
+            return onnx_graph(fuse(self._model.network()), shape, self._quantization)
         except ValueError as error:  # the layers do not fit each other for this size
             raise InferenceError(f"{self.engine.name} failed on cpu: {error}") from None
-
-    def _prototype_graph(self, shape: tuple[int, int, int, int]) -> bytes:
-        head = self._fused().head
-        assert isinstance(head, Segment)
-        return prototype_graph(head.proto, shape)
 
 
 class _Compiled:
@@ -218,7 +213,7 @@ class _Compiled:
         features = self._run(self._planes)
         return Predictions(
             self._compiler.head(features, min_objectness),
-            partial(self._prototypes, features[0]) if self._compiler.segments else None,
+            partial(self._prototypes, features[0]) if self._compiler.proto is not None else None,
             partial(_mean, features[-1]),
         )
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 import numpy as np
 import torch
@@ -80,7 +80,7 @@ def choose_runtime(
     if installed == ["torch"]:
         return Choice("torch", "the only one installed")
     path = (folder or cache_folder()) / _key(model, installed, frame_hw)
-    if (figures_ms := read_cache(path)) is not None:
+    if _are_figures(figures_ms := read_cache(path), installed):
         return _fastest(figures_ms, f"cached in {path}")
     figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
     try:
@@ -88,6 +88,16 @@ def choose_runtime(
     except NO_PLACE as error:
         _log.warning("Not cached in %s: %s", path.parent, error)
     return _fastest(figures_ms, "measured now")
+
+
+def _are_figures(found: object, installed: list[str]) -> TypeGuard[dict[str, float]]:
+    """Whether `found` is what `measure_ms` gives: milliseconds of runtimes, of which torch is always one."""
+    return (
+        isinstance(found, dict)
+        and "torch" in found
+        and found.keys() <= set(installed)
+        and all(isinstance(ms, float) and 0 <= ms < math.inf for ms in found.values())
+    )
 
 
 def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
