@@ -70,6 +70,12 @@ def test_every_image_of_a_legal_file_is_read(content: bytes, tmp_path: Path) -> 
     assert [image.timestamp_ns for image in found] == [recorded_ns(number) for number in range(COUNT)]
 
 
+def test_images_of_another_encoding_are_named_and_not_read(tmp_path: Path) -> None:
+    (tmp_path / "drive.mcap").write_bytes(mcap([channel(1, TOPIC, IMAGE, encoding="protobuf"), *IMAGES[:1]]))
+    with pytest.raises(RecordingError, match=rf"no images .* only: {TOPIC} \({IMAGE}, protobuf\)"):
+        images(tmp_path / "drive.mcap")
+
+
 def test_fewer_images_than_a_recording_claims_are_an_exit_code_and_counted_in_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,12 @@ def test_the_place_of_the_weights_makes_no_difference(
 ) -> None:
     moved = Path(shutil.copy(plan_for(result.parent).settings.weights, tmp_path / "moved.safetensors"))
     assert finished_before(source, plan_for(result.parent, weights=str(moved))) is not None
+
+
+def test_other_weights_make_another_result(source: SourceRecording, tmp_path: Path) -> None:
+    plan = plan_for(tmp_path)
+    other = replace(plan, settings=plan.settings.model_copy(update={"weights_sha256": "0" * 64}))
+    assert origin(source.path, other) != origin(source.path, plan)
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"{}"], ids=["empty", "no text", "no record"])

@@ -190,6 +190,17 @@ def test_another_worker_that_cannot_load_the_model_ends_the_run(tmp_path: Path) 
     assert scripted.all_have_ended
 
 
+def test_another_worker_that_dies_while_the_first_loads_the_model_ends_the_run(tmp_path: Path) -> None:
+    scripted = ScriptedRun(
+        tmp_path,
+        on_load=lambda _: "nothing yet",
+        on_progress=lambda _: scripted.workers[1]._process_end.close(),
+    )
+    with pytest.raises(DetectingError, match=r"another worker could not start: .*give a smaller --jobs"):
+        scripted.run()
+    assert scripted.all_have_ended
+
+
 def test_the_run_ends_with_the_last_result_even_if_another_worker_still_loads_the_model(
     tmp_path: Path,
 ) -> None:
@@ -227,12 +238,13 @@ def test_a_result_that_was_finished_before_its_worker_died_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def finished(source: SourceRecording, plan: Plan) -> RecordingResult | None:
-        row = RecordingResult(recording=source.name, path=str(source.path), state="skipped")
+        row = RecordingResult(recording=source.name, path=str(source.path), state="skipped", images=2)
         return row if scripted.begun.count(source.name) == MAX_DEATHS else None
 
     scripted = ScriptedRun(tmp_path, on_detect=lambda _: None)
     monkeypatch.setattr(supervisor, "finished_before", finished)
-    assert scripted.run().states == {"done": 0, "skipped": 4, "failed": 0}
+    batch = scripted.run()
+    assert (batch.states, batch.images) == ({"done": 0, "skipped": 4, "failed": 0}, 0)
 
 
 def test_a_full_disk_ends_the_run(tmp_path: Path) -> None:

@@ -206,7 +206,8 @@ class _Run:
             self._bury(worker, error)
             return
         except DetectingError as error:
-            if worker.source is not None or not self.is_chosen:
+            is_first = worker is self.workers[0] and not self.is_chosen
+            if worker.source is not None or is_first:
                 raise
             raise DetectingError(
                 f"another worker could not start: {error}. If memory is short, give a smaller --jobs."
