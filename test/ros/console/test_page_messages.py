@@ -156,6 +156,18 @@ def test_the_bar_of_twelve_detectors_is_one_row_with_the_shown_one_in_view(
     assert 0 <= box["left"] < box["right"] <= PHONE[0]
 
 
+def test_fine_warned_and_failed_have_each_their_colour_in_the_tab(screen: Chrome, console_url: str) -> None:
+    page = opened_page(screen, console_url, ACTIVE)
+    page.wait_for_state("active")
+    node, colours = node_sent(screen, ACTIVE), set()
+    for level, word in enumerate(("ok", "warning", "error")):
+        status = node["diagnostics"][0] | {"level": level, "message": ""}
+        deliver(screen, type="node", node=node | {"diagnostics": [status], "cameras": []})
+        tab = screen.find_element(By.PARTIAL_LINK_TEXT, f"{ACTIVE} {word}")
+        colours.add(tab.find_element(By.CLASS_NAME, "symbol").value_of_css_property("color"))
+    assert len(colours) == 3
+
+
 def test_only_the_image_of_the_detector_in_the_address_is_opened(screen: Chrome, console_url: str) -> None:
     missing = (By.ID, "missing")
     for name in ("", NAMES[0], NAMES[5]):
