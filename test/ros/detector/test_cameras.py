@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import TransitionCallbackReturn
+from std_msgs.msg import String
 from support.camera_client import CameraClient, DepthClient
 from support.preparations import Preparations, prediction
 from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import ServedNode, class_ids_of, image
+from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 
@@ -142,6 +144,29 @@ def test_only_the_camera_whose_outputs_have_a_subscriber_is_subscribed_to(served
     assert "no subscribers to ~/rear/detections or ~/rear/image" in served.statuses()["rear"].message
     rear.listen()
     rear.detect()
+
+
+@pytest.mark.parametrize("is_lazy", [True, False], ids=["while viewed", "once activated"])
+def test_a_camera_that_the_middleware_refuses_is_told_and_tried_again_while_the_other_goes_on(
+    prepare: Preparations, is_lazy: bool
+) -> None:
+    """Fast DDS has one type for a topic in one process, and the client is in the node's."""
+    refused = "cannot subscribe to images of camera front: "
+    with ServedNode(prepare, parameters=["cameras:=[front, rear]", f"lazy:={is_lazy}"]) as served:
+        other = served.client.create_publisher(String, "/yolov5/front/image_raw", 1)
+        rear = CameraClient(served, "rear")
+        served.bring_to("active")
+        assert found_by(rear) == [["cat"]]
+        served.client.create_subscription(Detection2DArray, "/yolov5/front/detections", lambda _: None, 1)
+        served.wait_for_log(refused)
+        for _ in range(3):
+            assert served.values("front")["last problem"].startswith(refused)
+        assert found_by(rear) == [["cat"]]
+        served.wait_for(lambda: served.status("front").level == DiagnosticStatus.WARN, "the warning")
+        assert sum(refused in said for said in served.log) < len(served.diagnostics) / 10
+        assert "Traceback" not in str(served.log)
+        served.client.destroy_publisher(other)
+        assert found_by(CameraClient(served, "front")) == [["cat"]]
 
 
 def test_other_cameras_need_another_configure(prepare: Preparations) -> None:

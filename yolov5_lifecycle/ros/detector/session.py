@@ -18,6 +18,7 @@ from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
@@ -68,10 +69,19 @@ class DetectorCamera:
         if transport != self.topic.form:
             self.topic = colour_topic(self.node, transport, camera=self.name, cameras=self.cameras)
 
-    def follow_subscribers(self) -> None:
-        """Adapt the subscriptions of an active camera to the subscribers of its outputs."""
-        if self.active is not None:
-            self.active.follow_subscribers()
+    def update(self) -> None:
+        """Adapt an active camera to the ROS graph; what the middleware refuses is told, and tried again by
+        the next call.
+        """
+        if self.active is None:
+            return
+        try:
+            self.active.update()
+        except Exception as error:  # noqa: BLE001 - rclpy raises several types; the others go on
+            whose = f" of camera {self.name}" if self.name else ""
+            problem = f"cannot subscribe to images{whose}: {type(error).__name__}: {in_one_line(str(error))}"
+            self.last_problem = problem, time.monotonic()
+            self.node.get_logger().error(f"{problem}; retrying every second", throttle_duration_sec=5.0)
 
     @property
     def recent_failure(self) -> str:
@@ -302,8 +312,8 @@ class Session:
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
         self._publish_label_info(settings)
-        for camera in self.active.values():
-            camera.follow_subscribers()
+        for name in self.active:
+            self.cameras[name].update()
 
     def apply(self, settings: Settings, preparation: Preparation) -> None:
         """Change to `settings` and the model of `preparation` from the next frame on.
