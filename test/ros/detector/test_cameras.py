@@ -153,7 +153,7 @@ def test_a_camera_that_the_middleware_refuses_is_told_and_tried_again_while_the_
     prepare: Preparations, ros_domain: int, is_lazy: bool
 ) -> None:
     """Fast DDS has one type for a topic in one process, and the client is in the node's."""
-    refused = "cannot subscribe to images of camera front: "
+    refused = "cannot subscribe for camera front: "
     with (
         closing(Observer("camera", domain=ros_domain)) as camera,
         ServedNode(prepare, parameters=["cameras:=[front, rear]", f"lazy:={is_lazy}"]) as served,

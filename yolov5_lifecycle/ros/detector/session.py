@@ -78,8 +78,8 @@ class DetectorCamera:
         try:
             self.active.update()
         except Exception as error:  # noqa: BLE001 - rclpy raises several types; the others go on
-            whose = f" of camera {self.name}" if self.name else ""
-            problem = f"cannot subscribe to images{whose}: {type(error).__name__}: {in_one_line(str(error))}"
+            whose = f" for camera {self.name}" if self.name else ""
+            problem = f"cannot subscribe{whose}: {type(error).__name__}: {in_one_line(str(error))}"
             self.last_problem = problem, time.monotonic()
             self.node.get_logger().error(f"{problem}; retrying every second", throttle_duration_sec=5.0)
 
