@@ -111,9 +111,7 @@ class ManagedResources:
         self._label_info = label_info_publisher(self.node)
         self._make_cameras()
         for camera in self._cameras.values():
-            camera.outputs = Outputs(
-                self.node, camera=camera.name, on_subscribers_changed=camera.update
-            )
+            camera.outputs = Outputs(self.node, camera=camera.name, on_subscribers_changed=camera.update)
 
     async def load(self) -> bool:
         """Load the model while other callbacks are served; False if another transition was requested first.
