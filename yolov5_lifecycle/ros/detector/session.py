@@ -81,7 +81,9 @@ class DetectorCamera:
             whose = f" for camera {self.name}" if self.name else ""
             problem = f"cannot subscribe{whose}: {type(error).__name__}: {in_one_line(str(error))}"
             self.last_problem = problem, time.monotonic()
-            self.node.get_logger().error(f"{problem}; retrying every second", throttle_duration_sec=5.0)
+            where = "" if isinstance(error, RuntimeError) else f"\n{traceback.format_exc()}"  # a bug here
+            told = f"{problem}; retrying every second{where}"
+            self.node.get_logger().error(told, throttle_duration_sec=5.0)
 
     @property
     def recent_failure(self) -> str:
