@@ -122,3 +122,30 @@ def test_a_signal_ends_the_process_cleanly_while_it_imports() -> None:
         process.wait_for_output(" rclpy\n", 60)
         assert process.stop(signal.SIGTERM) == 0
     assert "Traceback" not in process.output
+
+
+ENDED_BEFORE_THE_FIRST_TURN = """
+import os
+import signal
+import threading
+from yolov5_lifecycle.ros.detector import command as detector
+
+default = signal.getsignal(signal.SIGTERM)
+
+def end():
+    while signal.getsignal(signal.SIGTERM) is default:  # until the process handles it
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+threading.Thread(target=end).start()
+detector.main([])
+"""
+
+
+@pytest.mark.long
+def test_a_signal_before_the_first_callback_ends_the_process_silently(ros_domain: int) -> None:
+    command = [sys.executable, "-c", ENDED_BEFORE_THE_FIRST_TURN]
+    with ChildProcess("detector", command, environment(ros_domain)) as process:
+        assert process.wait(60) == 0
+    assert "Warning" not in process.output
+    assert "Traceback" not in process.output

@@ -11,6 +11,7 @@ from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import Change, SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS, validated
+from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN
 
 FRONT_AND_REAR: dict[str, Any] = {"cameras": ("front", "rear")}
 
@@ -142,6 +143,12 @@ def test_a_wrong_override_is_refused_with_what_was_meant(values: dict[str, Any],
 def test_without_cameras_there_are_no_overrides(name: str, reason: str) -> None:
     (problem,) = problems({name: 1.0})
     assert problem.endswith(reason)
+
+
+def test_of_very_many_overrides_of_absent_cameras_the_first_are_explained() -> None:
+    told = problems({f"side{number}.max_rate": -1.0 for number in range(2 * MAX_UNKNOWN)})
+    assert len(told) == 2 * MAX_UNKNOWN + 1
+    assert f"and {MAX_UNKNOWN} more: there are no such parameters." in told
 
 
 @pytest.mark.parametrize(

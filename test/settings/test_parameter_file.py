@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -116,6 +117,13 @@ def test_a_file_that_is_too_much_is_refused(path: Path, text: str, told: str) ->
     path.write_text(text)
     with pytest.raises(ParameterFileError, match=told):
         file_values(path, "/a")
+
+
+def test_what_is_no_file_is_refused_without_waiting(path: Path) -> None:
+    os.mkfifo(path)
+    for what, told in ((path, "expected a regular file"), (path.parent, "found a folder")):
+        with pytest.raises(ParameterFileError, match=told):
+            file_values(what, "/a")
 
 
 @pytest.mark.parametrize(

@@ -65,9 +65,10 @@ class OverridableSchema(Schema[Model]):
         strays = [name for name in dotted if name not in given]
         overrides, of_cameras = self._of_cameras(own, given)
         settings, of_node = self._attempt(own, overrides)
-        of_strays = self.all_unknown(strays, values)
-        overriding = [name for name in strays if self._inherited(name)][:MAX_UNKNOWN]
-        of_strays += filter(None, (self.problem(name, dotted[name]) for name in overriding))
+        overriding = [name for name in strays if self._inherited(name)]
+        too_many = {*map(str, _listed(values)[MAX_CAMERAS:])}  # as the problem of `cameras` tells
+        of_strays = self.all_unknown([name for name in strays if camera_of(name) not in too_many], values)
+        of_strays += filter(None, (self.problem(name, dotted[name]) for name in overriding[:MAX_UNKNOWN]))
         inherited = {f"{camera}{SEPARATOR}{problem}" for camera in _cameras(values) for problem in of_node}
         of_cameras = [each for each in of_cameras if each.setting in given or str(each) not in inherited]
         if settings is None or of_node or of_cameras or of_strays:
@@ -153,10 +154,12 @@ def camera_of(name: str) -> str:
 
 def _cameras(values: Mapping[str, object]) -> tuple[str, ...]:
     """Names of the first MAX_CAMERAS cameras in `values`, valid or not; more are refused anyway."""
+    return tuple(name for name in _listed(values)[:MAX_CAMERAS] if isinstance(name, str))
+
+
+def _listed(values: Mapping[str, object]) -> Sequence[object]:
     names = values.get(CAMERAS)
-    if not isinstance(names, (list, tuple)):
-        return ()
-    return tuple(name for name in names[:MAX_CAMERAS] if isinstance(name, str))
+    return names if isinstance(names, (list, tuple)) else ()
 
 
 def camera_names_rule(names: Sequence[str], settings: Collection[str]) -> str:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import TransitionCallbackReturn
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
 from support.camera_client import CameraClient, DepthClient
 from support.preparations import Preparations, prediction
 from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import ServedNode, class_ids_of, image
+from vision_msgs.msg import Detection2DArray
 
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
+from yolov5_lifecycle.ros.observer import Observer
 
 CAMERAS = ("front", "rear")
 WALLS_M = (2.0, 3.0)
@@ -142,6 +146,35 @@ def test_only_the_camera_whose_outputs_have_a_subscriber_is_subscribed_to(served
     assert "no subscribers to ~/rear/detections or ~/rear/image" in served.statuses()["rear"].message
     rear.listen()
     rear.detect()
+
+
+@pytest.mark.parametrize("is_lazy", [True, False], ids=["while viewed", "once activated"])
+def test_a_camera_that_the_middleware_refuses_is_told_and_tried_again_while_the_other_goes_on(
+    prepare: Preparations, ros_domain: int, is_lazy: bool
+) -> None:
+    """Fast DDS has one type for a topic in one process, and the client is in the node's."""
+    refused = "cannot subscribe for camera front: "
+    with (
+        closing(Observer("camera", domain=ros_domain)) as camera,
+        ServedNode(prepare, parameters=["cameras:=[front, rear]", f"lazy:={is_lazy}"]) as served,
+    ):
+        camera.create_publisher(Image, "/yolov5/front/image_raw", 1)
+        other = served.client.create_publisher(String, "/yolov5/front/image_raw", 1)
+        rear = CameraClient(served, "rear")
+        served.bring_to("active")
+        assert found_by(rear) == [["cat"]]
+        served.client.create_subscription(Detection2DArray, "/yolov5/front/detections", lambda _: None, 1)
+        served.wait_for(lambda: served.values("front")["image publishers"] == "1", "the publisher")
+        served.wait_for_log(refused)
+        for _ in range(5):
+            front = served.status("front")
+            assert (front.level, front.message[: len(refused)]) == (DiagnosticStatus.WARN, refused)
+            assert served.values("front")["last problem"] == front.message
+        assert found_by(rear) == [["cat"]]
+        assert sum(refused in said for said in served.log) < len(served.diagnostics) / 5
+        assert "Traceback" not in str(served.log)
+        served.client.destroy_publisher(other)
+        assert found_by(CameraClient(served, "front")) == [["cat"]]
 
 
 def test_other_cameras_need_another_configure(prepare: Preparations) -> None:

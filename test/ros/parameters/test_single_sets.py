@@ -114,8 +114,8 @@ FRONT_AND_REAR = {"cameras": ["front", "rear"]}
             id="no camera can be read",
         ),
         pytest.param(
-            {"cameras": [*MANY, "front"], "front.max_rate": 5.0},
-            ["cameras: ", "front.max_rate: there is no such parameter: add the camera to cameras, which has"],
+            {"cameras": [*MANY, "camera16"], "camera16.max_rate": 5.0, "camera16.lazy": 1},
+            ["cameras: ", "camera16.lazy: 1 is not true or false. The default is true."],
             id="too many cameras",
         ),
         pytest.param(

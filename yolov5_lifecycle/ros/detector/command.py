@@ -72,7 +72,7 @@ def _serve(node: DetectorNode, stop: threading.Event) -> int:
     """Spin `node` until it ends, release everything, and return the exit code."""
     executor = ResilientExecutor()
     executor.add_node(node)
-    executor.create_task(node.autostart)
+    autostart = executor.create_task(node.autostart)
     # Torch and pydantic keep 300,000 objects alive; scanning them in a collection blocks all threads 0.15 s.
     gc.freeze()
     sys.setswitchinterval(_SWITCH_S)
@@ -88,6 +88,7 @@ def _serve(node: DetectorNode, stop: threading.Event) -> int:
         spin(executor, node, until=lambda: is_over() or time.monotonic() >= end_s)
     if node.exit_code is not None:
         return node.exit_code  # neither a dead device nor what a hung thread uses can be released
+    autostart.cancel()  # else Python warns "never awaited" if it has not started
     node.close()
     rclpy.try_shutdown()
     return 0

@@ -201,11 +201,11 @@ class ImageInput:
         if self._subscription is None:
             return
         self.losses.settle()
-        self._subscription.follow()
         now_s = time.monotonic()
         self._samples.append((now_s, self._received, self.losses.lost))
         while len(self._samples) > 2 and now_s - self._samples[1][0] >= WINDOW_S:
             self._samples.popleft()
+        self._subscription.follow()  # last, because it may raise
 
     @property
     def reliability(self) -> ReliabilityPolicy | None:

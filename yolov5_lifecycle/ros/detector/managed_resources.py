@@ -111,9 +111,7 @@ class ManagedResources:
         self._label_info = label_info_publisher(self.node)
         self._make_cameras()
         for camera in self._cameras.values():
-            camera.outputs = Outputs(
-                self.node, camera=camera.name, on_subscribers_changed=camera.follow_subscribers
-            )
+            camera.outputs = Outputs(self.node, camera=camera.name, on_subscribers_changed=camera.update)
 
     async def load(self) -> bool:
         """Load the model while other callbacks are served; False if another transition was requested first.
@@ -246,9 +244,8 @@ class ManagedResources:
         if self._label_info is None and not topic_problems(self.node, self._names()):
             self._make_cameras()  # `configure` refuses them
         for name, camera in self._cameras.items():
-            if camera.active is not None:
-                camera.active.update()
-            else:
+            camera.update()
+            if camera.active is None:
                 camera.use(self.parameters.value_for(name, "image_transport"))
 
     def status(self, state: str, problem: str) -> Status:

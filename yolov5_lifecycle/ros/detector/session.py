@@ -19,6 +19,7 @@ from yolov5_lifecycle.detection.messages import label_info
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.detection.selection import model_problems, selection
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
@@ -69,10 +70,21 @@ class DetectorCamera:
         if transport != self.topic.form:
             self.topic = colour_topic(self.node, transport, camera=self.name, cameras=self.cameras)
 
-    def follow_subscribers(self) -> None:
-        """Adapt the subscriptions of an active camera to the subscribers of its outputs."""
-        if self.active is not None:
-            self.active.follow_subscribers()
+    def update(self) -> None:
+        """Adapt an active camera to the ROS graph; what the middleware refuses is told, and tried again by
+        the next call.
+        """
+        if self.active is None:
+            return
+        try:
+            self.active.update()
+        except Exception as error:  # noqa: BLE001 - rclpy raises several types; the others go on
+            whose = f" for camera {self.name}" if self.name else ""
+            problem = f"cannot subscribe{whose}: {type(error).__name__}: {in_one_line(str(error))}"
+            self.last_problem = problem, time.monotonic()
+            where = "" if isinstance(error, RuntimeError) else f"\n{traceback.format_exc()}"  # a bug here
+            told = f"{problem}; retrying every second{where}"
+            self.node.get_logger().error(told, throttle_duration_sec=5.0)
 
     @property
     def recent_failure(self) -> str:
@@ -303,8 +315,8 @@ class Session:
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
         self._publish_label_info(settings)
-        for camera in self.active.values():
-            camera.follow_subscribers()
+        for name in self.active:
+            self.cameras[name].update()
 
     def apply(self, settings: Settings, preparation: Preparation) -> None:
         """Change to `settings` and the model of `preparation` from the next frame on.
