@@ -33,7 +33,7 @@ def call_of(task: Task) -> Callable[[], object]:
     if is_forward:
         letterbox = _letterbox(detector, image)
         frame = letterbox.apply(image.pixels)
-        return lambda: detector.runtime(frame, image.order, Selection().min_objectness)
+        return lambda: detector.runtime(frame, image.channel_order, Selection().min_objectness)
     return _stage(task.name, detector, image)
 
 
@@ -53,8 +53,8 @@ def image_file(image_hw: tuple[int, int], folder: Path) -> Path:
 def _stage(name: str, detector: Detector, image: ColourImage) -> Callable[[], object]:
     letterbox = _letterbox(detector, image)
     frame = letterbox.apply(image.pixels)
-    raw = detector.runtime(frame, image.order, Selection().min_objectness).rows
-    crowded = _crowded(detector.runtime(frame, image.order).rows)
+    raw = detector.runtime(frame, image.channel_order, Selection().min_objectness).rows
+    crowded = _crowded(detector.runtime(frame, image.channel_order).rows)
     stages: dict[str, Callable[[], object]] = {
         "letterbox": lambda: letterbox.apply(image.pixels),
         "selection": lambda: letterbox.undo(select(raw, Selection()).boxes_xyxy),

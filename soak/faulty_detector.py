@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.prepared_model import PreparedModel, prepare_model
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.ros.detector.command import main
 from yolov5_lifecycle.runtimes.runtime import Predictions, Runtime
 from yolov5_lifecycle.settings.settings import Settings
@@ -62,11 +62,13 @@ class FaultyRuntime:
         self.device = runtime.device
         self.precision = runtime.precision
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
-        return _with_fault(frame, self._runtime(frame, order, min_objectness))
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float = 0.0
+    ) -> Predictions:
+        return _with_fault(frame, self._runtime(frame, channel_order, min_objectness))
 
-    def lanes(self, count: int, threads: int) -> list[FaultyRuntime]:
-        return [FaultyRuntime(lane) for lane in self._runtime.lanes(count, threads)]
+    def streams(self, count: int, threads: int) -> list[FaultyRuntime]:
+        return [FaultyRuntime(stream) for stream in self._runtime.streams(count, threads)]
 
     def close(self) -> None:
         self._runtime.close()

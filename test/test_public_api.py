@@ -109,7 +109,7 @@ def test_an_image_is_detected_in_either_order_of_colours(
 ) -> None:
     found = detector(image)
     assert names(found) == SHOWN
-    turned = detector(image[..., ::-1], order="rgb")
+    turned = detector(image[..., ::-1], channel_order="rgb")
     np.testing.assert_allclose(found.scores, turned.scores, rtol=1e-5)
 
 

@@ -18,7 +18,7 @@ from support.scripted_runtime import ScriptedRuntime
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
 
 EVERYTHING = Selection(confidence_threshold=0.01)
@@ -40,8 +40,8 @@ def detector_of(runtime: Runtime, image_size: int = 64) -> Detector:
     return Detector(runtime, class_names=CLASS_NAMES, image_size=image_size, stride=32)
 
 
-def random_image(height: int, width: int, order: Order = "rgb") -> ColourImage:
-    return ColourImage(np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8), order)
+def random_image(height: int, width: int, channel_order: ChannelOrder = "rgb") -> ColourImage:
+    return ColourImage(np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8), channel_order)
 
 
 def test_boxes_come_back_in_pixels_of_the_image() -> None:
@@ -62,13 +62,17 @@ def test_a_detection_that_lies_all_in_the_padding_is_dropped() -> None:
     assert found.class_ids.tolist() == [1]
 
 
-@pytest.mark.parametrize(("order", "threshold", "least"), [("rgb", 0.03, 0.03), ("bgr", 0.6, WORTH_TELLING)])
+@pytest.mark.parametrize(
+    ("channel_order", "threshold", "least"), [("rgb", 0.03, 0.03), ("bgr", 0.6, WORTH_TELLING)]
+)
 def test_the_runtime_is_told_the_order_of_colours_and_which_predictions_matter(
-    order: Order, threshold: float, least: float
+    channel_order: ChannelOrder, threshold: float, least: float
 ) -> None:
     runtime = predicting(rows())
-    detector_of(runtime).detect(random_image(30, 64, order), Selection(confidence_threshold=threshold))
-    assert runtime.calls == [((32, 64, 3), order, least)]
+    detector_of(runtime).detect(
+        random_image(30, 64, channel_order), Selection(confidence_threshold=threshold)
+    )
+    assert runtime.calls == [((32, 64, 3), channel_order, least)]
 
 
 @pytest.mark.parametrize(

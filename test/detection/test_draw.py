@@ -21,7 +21,7 @@ from yolov5_lifecycle.detection.draw import (
     text_colour,
 )
 from yolov5_lifecycle.detection.masks import Masks
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.images.region import BoxFilter, Region
 
 NAMES = ("circle", "square", "triangle", "star")
@@ -33,8 +33,8 @@ def one(*box_xyxy: float, class_id: int = 0, score: float = 0.5) -> Detections:
     return Detections(boxes_xyxy, np.array([score], np.float32), np.array([class_id]))
 
 
-def black(height: int, width: int, order: Order = "rgb") -> ColourImage:
-    return ColourImage(np.zeros((height, width, 3), np.uint8), order)
+def black(height: int, width: int, channel_order: ChannelOrder = "rgb") -> ColourImage:
+    return ColourImage(np.zeros((height, width, 3), np.uint8), channel_order)
 
 
 def ink_of_class_1(pixels: NDArray[np.uint8]) -> int:
@@ -94,16 +94,16 @@ def test_the_id_of_a_track_stands_in_the_label() -> None:
     width=st.integers(1, 200),
     corners=st.lists(st.tuples(*[st.floats(0, 1)] * 4), max_size=4),
     name=st.text(max_size=60),
-    order=st.sampled_from(["rgb", "bgr"]),
+    channel_order=st.sampled_from(["rgb", "bgr"]),
 )
 def test_any_box_and_name_can_be_drawn_in_any_image(
-    height: int, width: int, corners: list[tuple[float, ...]], name: str, order: Order
+    height: int, width: int, corners: list[tuple[float, ...]], name: str, channel_order: ChannelOrder
 ) -> None:
     relative = np.array(corners, np.float32).reshape(-1, 2, 2)
     boxes_xyxy = (np.sort(relative, axis=1) * np.array((width, height), np.float32)).reshape(-1, 4)
     count = len(boxes_xyxy)
     detections = Detections(boxes_xyxy, np.full(count, 0.5, np.float32), np.zeros(count, np.int64))
-    drawn = annotate(black(height, width, order), detections, [name])
+    drawn = annotate(black(height, width, channel_order), detections, [name])
     assert drawn.shape == (height, width, 3)
     assert drawn.any() == bool(count)
 
@@ -122,20 +122,20 @@ def masked(count: int = 2) -> tuple[Detections, NDArray[np.uint16]]:
     return Detections(boxes_xyxy, scores, np.arange(1, count + 1)), label_image
 
 
-def random_image(height: int, width: int, order: Order = "rgb") -> ColourImage:
+def random_image(height: int, width: int, channel_order: ChannelOrder = "rgb") -> ColourImage:
     pixels = np.random.default_rng(1).integers(0, 256, (height, width, 3), np.uint8)
-    return ColourImage(pixels, order)
+    return ColourImage(pixels, channel_order)
 
 
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_masks_are_translucent_in_the_colours_of_their_classes(order: Order) -> None:
+@pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
+def test_masks_are_translucent_in_the_colours_of_their_classes(channel_order: ChannelOrder) -> None:
     detections, label_image = masked()
-    image = random_image(LARGE, LARGE, order)
+    image = random_image(LARGE, LARGE, channel_order)
     drawn = annotate(image, detections, NAMES, label_image=label_image)
     plain = annotate(image, detections, NAMES)
     for label, class_id in ((1, 1), (2, 2)):
         inside = label_image == label
-        expected = (image.pixels[inside].astype(float) + class_colour(class_id, order)) / 2
+        expected = (image.pixels[inside].astype(float) + class_colour(class_id, channel_order)) / 2
         np.testing.assert_allclose(drawn[inside], expected, atol=1)
     np.testing.assert_array_equal(drawn[label_image == 0], plain[label_image == 0])
 
@@ -196,12 +196,14 @@ def luminance(colour: tuple[int, int, int]) -> float:
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_every_label_has_the_contrast_that_reading_needs(order: Order) -> None:
+@pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
+def test_every_label_has_the_contrast_that_reading_needs(channel_order: ChannelOrder) -> None:
     for class_id in range(1000):
-        background = class_colour(class_id, order)
-        ink = text_colour(background, order)
-        lights = [luminance(colour if order == "rgb" else colour[::-1]) for colour in (background, ink)]
+        background = class_colour(class_id, channel_order)
+        ink = text_colour(background, channel_order)
+        lights = [
+            luminance(colour if channel_order == "rgb" else colour[::-1]) for colour in (background, ink)
+        ]
         assert (max(lights) + 0.05) / (min(lights) + 0.05) >= 4.5, class_id
 
 

@@ -30,7 +30,7 @@ def detector(*, image_size: int = 96, **options: Any) -> Detector:
 def test_an_image_is_placed_in_the_only_size_that_the_export_takes() -> None:
     fixed = detector(size_hw=(64, 96))
     assert fixed.network_hw((90, 200)) == fixed.network_hw((200, 90)) == (64, 96)
-    assert fixed.lanes(1, 1)[0].network_hw((200, 90)) == (64, 96)
+    assert fixed.streams(1, 1)[0].network_hw((200, 90)) == (64, 96)
     assert detector(size_hw=None).network_hw((200, 90)) == (96, 64)
     assert len(fixed.detect(IMAGE, LIKELY)) > 0
 

@@ -13,7 +13,7 @@ from support.compressed_files import image_file, smooth_bgr, smooth_file
 
 from yolov5_lifecycle.images.compressed import decode_compressed, decode_image_file, encode_jpeg
 from yolov5_lifecycle.images.encodings import decode_raw
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError, Order
+from yolov5_lifecycle.images.image import MAX_SIDE_PX, ChannelOrder, ColourImage, ImageError
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ from yolov5_lifecycle.images.image import MAX_SIDE_PX, ColourImage, ImageError, 
 )
 def test_a_compressed_image_is_decoded(data: bytes, tolerance: int) -> None:
     image = decode_compressed(array("B", data))
-    assert image.order == "bgr"
+    assert image.channel_order == "bgr"
     np.testing.assert_allclose(image.pixels.astype(int), smooth_bgr(40, 60), atol=tolerance)
 
 
@@ -58,7 +58,7 @@ NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 
 
 
 @pytest.mark.parametrize(
-    ("format_text", "files", "order"),
+    ("format_text", "files", "channel_order"),
     [
         *((text, "colour jpeg, colour png, grey jpeg, deep png", "bgr") for text in ("", "x" * 10_000, ";")),
         *((text, "colour jpeg, grey jpeg", "bgr") for text in ("jpeg", "jpg", "JPEG", "mjpeg", "rgb8; jpeg")),
@@ -74,11 +74,13 @@ NO_DEPTH = "compressedDepth, which is not supported; subscribe to the raw 16UC1 
         ("bayer_rggb8; jpeg compressed mono8", "grey jpeg", "bgr"),
     ],
 )
-def test_a_file_of_viewable_pixels_gives_its_own_colours(format_text: str, files: str, order: Order) -> None:
+def test_a_file_of_viewable_pixels_gives_its_own_colours(
+    format_text: str, files: str, channel_order: ChannelOrder
+) -> None:
     """Red and blue are swapped where its format says so."""
     for name in files.split(", "):
         image = decode_compressed(FILES[name], format_text=format_text)
-        assert image.order == order
+        assert image.channel_order == channel_order
         colours = cv2.imdecode(np.frombuffer(FILES[name], np.uint8), cv2.IMREAD_COLOR)
         np.testing.assert_array_equal(image.pixels, colours)
 
@@ -106,7 +108,7 @@ def test_a_file_of_values_gives_the_image_of_the_raw_image(
         is_bigendian=False,
     )
     image = decode_compressed(FILES[name], format_text=format_text)
-    assert image.order == ("bgr" if encoding == "mono16" else raw.order)
+    assert image.channel_order == ("bgr" if encoding == "mono16" else raw.channel_order)
     np.testing.assert_array_equal(image.pixels, raw.pixels)
 
 
@@ -150,10 +152,10 @@ def test_a_file_that_cannot_hold_what_its_format_says_is_refused_with_what_to_do
         decode_compressed(FILES[name], format_text=format_text)
 
 
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_an_image_becomes_a_jpeg_of_its_colours(order: Order) -> None:
-    pixels = smooth_bgr(40, 60) if order == "bgr" else smooth_bgr(40, 60)[..., ::-1]
-    decoded = decode_compressed(encode_jpeg(ColourImage(pixels, order)))
+@pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
+def test_an_image_becomes_a_jpeg_of_its_colours(channel_order: ChannelOrder) -> None:
+    pixels = smooth_bgr(40, 60) if channel_order == "bgr" else smooth_bgr(40, 60)[..., ::-1]
+    decoded = decode_compressed(encode_jpeg(ColourImage(pixels, channel_order)))
     np.testing.assert_allclose(decoded.pixels.astype(int), smooth_bgr(40, 60), atol=15)
 
 

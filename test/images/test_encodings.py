@@ -27,7 +27,7 @@ def decode(data: Any, **layout: Any) -> ColourImage:
 
 
 def in_rgb(image: ColourImage) -> NDArray[np.uint8]:
-    return image.pixels if image.order == "rgb" else image.pixels[..., ::-1]
+    return image.pixels if image.channel_order == "rgb" else image.pixels[..., ::-1]
 
 
 class Sent(NamedTuple):

@@ -66,7 +66,7 @@ def test_grey_pixels_are_a_view_of_the_message_until_their_colours_are_asked_for
     assert order == "grey"
     assert grey.tolist() == [[0, 1, 2], [4, 5, 6]]
     assert image.size_hw == (2, 3)
-    assert image.order == "rgb"
+    assert image.channel_order == "rgb"
     assert image.pixels.tolist() == [[[value] * 3 for value in row] for row in grey.tolist()]
     data[0] = 9
     assert grey[0, 0] == 9

@@ -97,7 +97,7 @@ def test_the_letterboxed_image_is_the_same(case: Any, bus: ColourImage) -> None:
 
 def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, runtime: Runtime) -> None:
     letterbox = letterbox_of(case, bus)
-    found = select(runtime(letterbox.apply(bus.pixels), bus.order).rows, selection_of(case))
+    found = select(runtime(letterbox.apply(bus.pixels), bus.channel_order).rows, selection_of(case))
     in_source = Detections(letterbox.undo(found.boxes_xyxy), found.scores, found.class_ids)
     # YOLOv5 pads by whole pixels but maps back with half ones; we map back what was padded.
     assert_same(
@@ -123,8 +123,8 @@ def test_the_official_export_predicts_what_its_pt_predicts(
     export = load_weights(reference_dir / "onnx" / "yolov5n_480x640.onnx").content
     assert isinstance(export, Export)
     frame = Letterbox.into(bus.size_hw, (480, 640)).apply(bus.pixels)
-    expected = TorchRuntime.load(model, device="cpu", precision="fp32")(frame, bus.order).rows
-    found = load_export(export, runtime_name, device="cpu", precision="auto")(frame, bus.order).rows
+    expected = TorchRuntime.load(model, device="cpu", precision="fp32")(frame, bus.channel_order).rows
+    found = load_export(export, runtime_name, device="cpu", precision="auto")(frame, bus.channel_order).rows
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
 
 

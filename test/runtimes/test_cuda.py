@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from support.colcon_workspace import SUPPORT_PATH
 from support.random_model import CLASS_NAMES, random_frame, random_model
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.torch_runtime import TorchRuntime
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch sees no CUDA device")
 
 
-def on_cpu(seed: int, frame: NDArray[np.uint8], order: Order = "rgb") -> NDArray[np.float32]:
-    return TorchRuntime.load(random_model(seed), device="cpu", precision="fp32")(frame, order).rows
+def on_cpu(seed: int, frame: NDArray[np.uint8], channel_order: ChannelOrder = "rgb") -> NDArray[np.float32]:
+    return TorchRuntime.load(random_model(seed), device="cpu", precision="fp32")(frame, channel_order).rows
 
 
 def on_cuda(seed: int, precision: str = "fp32") -> TorchRuntime:

@@ -1,4 +1,4 @@
-"""What every runtime does alike: rows, colours, embeddings, prototypes, lanes, denormal numbers, closing."""
+"""What every runtime does alike: rows, colours, embeddings, prototypes, streams, denormal numbers, its end."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, select
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
@@ -181,9 +181,9 @@ def test_frames_predictions_and_prototypes_stay_as_they_are(segmenting: Runtime)
     predictions = segmenting(frame, "rgb")
     kept = (frame, predictions.rows, prototypes(predictions), prototypes(predictions))
     before = [each.copy() for each in kept]
-    orders: Sequence[Order] = ("rgb", "bgr")
-    for order in orders:
-        prototypes(segmenting(FRAMES[1], order))
+    orders: Sequence[ChannelOrder] = ("rgb", "bgr")
+    for channel_order in orders:
+        prototypes(segmenting(FRAMES[1], channel_order))
     for now, then in zip(kept, before, strict=True):
         np.testing.assert_array_equal(now, then)
 
@@ -200,8 +200,8 @@ def test_a_closed_runtime_says_so_and_may_be_closed_again(runtime_name: str) -> 
 
 
 @pytest.mark.long
-def test_lanes_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
-    first, *others = runtime.lanes(3, threads=1)
+def test_streams_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> None:
+    first, *others = runtime.streams(3, threads=1)
     expected = [first(frame, "rgb").rows for frame in FRAMES]
     np.testing.assert_allclose(expected[0], runtime(FRAME, "rgb").rows, rtol=1e-3, atol=1e-3)
     together = threading.Barrier(3)
@@ -217,20 +217,20 @@ def test_lanes_give_the_same_predictions_at_the_same_time(runtime: Runtime) -> N
 
 
 @pytest.mark.long
-def test_lanes_are_closed_one_by_one_and_outlive_the_runtime_that_they_come_from(runtime_name: str) -> None:
+def test_streams_are_closed_one_by_one_and_outlive_the_runtime_that_they_come_from(runtime_name: str) -> None:
     runtime = loaded(random_model(1), runtime_name)
-    left, right = runtime.lanes(2, threads=1)
+    left, right = runtime.streams(2, threads=1)
     expected = left(FRAME, "rgb").rows
     left.close()
     runtime.close()
     np.testing.assert_array_equal(right(FRAME, "rgb").rows, expected)
-    for use in (lambda: left(FRAME, "rgb"), lambda: runtime.lanes(2, threads=1)):
+    for use in (lambda: left(FRAME, "rgb"), lambda: runtime.streams(2, threads=1)):
         with pytest.raises(InferenceError, match="closed"):
             use()
 
 
 @pytest.mark.parametrize("name", ["onnxruntime", "openvino"])
-def test_lanes_share_one_compiled_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streams_share_one_compiled_network(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded: list[tuple[int, int]] = []
 
     def watched(network: Network, shape: tuple[int, int], *others: Any) -> bytes:
@@ -238,12 +238,12 @@ def test_lanes_share_one_compiled_network(name: str, monkeypatch: pytest.MonkeyP
         return onnx_graph(network, shape, *others)
 
     monkeypatch.setattr("yolov5_lifecycle.runtimes.compiled_runtime.onnx_graph", watched)
-    for lane in loaded(random_model(1), name).lanes(3, threads=2):
-        lane(FRAME, "rgb")
+    for stream in loaded(random_model(1), name).streams(3, threads=2):
+        stream(FRAME, "rgb")
     assert recorded == [FRAME.shape[:2]]
 
 
-def test_torch_uses_the_threads_of_a_lane_only_in_the_lane(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torch_uses_the_threads_of_a_stream_only_in_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     """Although torch hands the number of threads that was set last on to every thread that begins."""
     before, seen = torch.get_num_threads(), list[int]()
     original = Network.features
@@ -251,14 +251,14 @@ def test_torch_uses_the_threads_of_a_lane_only_in_the_lane(monkeypatch: pytest.M
 
         def watched(*arguments: Any) -> Any:
             seen.append(torch.get_num_threads())
-            if len(seen) == 1:  # in the lane
+            if len(seen) == 1:  # in the stream
                 late.submit(runtime, FRAME, "rgb").result()
             return original(*arguments)
 
         monkeypatch.setattr(Network, "features", watched)
         runtime = loaded(random_model(1), "torch")
-        (lane,) = runtime.lanes(1, threads=before + 1)
-        lane(FRAME, "rgb")
+        (stream,) = runtime.streams(1, threads=before + 1)
+        stream(FRAME, "rgb")
     runtime(FRAME, "rgb")
     assert seen == [before + 1, before, before]
     assert torch.get_num_threads() == before

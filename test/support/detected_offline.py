@@ -52,5 +52,5 @@ def published(message: Image | CompressedImage) -> tuple[Detection2DArray, Image
     drawn = annotate(image, detections, detector.class_names)
     return (
         messages.detection_array(detections, detector.class_names, message.header),
-        messages.image_message(drawn, f"{image.order}8", message.header),
+        messages.image_message(drawn, f"{image.channel_order}8", message.header),
     )

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from support.scripted_runtime import ScriptedRuntime
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.lane_choice import Lanes
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
+from yolov5_lifecycle.detection.stream_choice import InferenceStreams
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.settings.settings import Settings
 
@@ -30,7 +30,7 @@ def prediction(class_name: str, score: float) -> NDArray[np.float32]:
 class Preparations:
     """Stands in for `prepare_model`: hands out scripted detectors; `refusal` and `gate` control it.
 
-    `run`, `compute_prototypes`, `mask_coefficients` and the number of `lanes` are those of the next detector.
+    `run`, `compute_prototypes`, `mask_coefficients` and the number of `streams` are the next detector's.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Preparations:
         self.begun = threading.Semaphore(0)
         self.sizes_hw: list[list[tuple[int, int]]] = []
         self.class_names = CLASS_NAMES
-        self.lanes = 0
+        self.streams = 0
         self.run: Callable[[], NDArray[np.float32]] = lambda: prediction("cat", 0.9)
         self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
         self.mask_coefficients = 0
@@ -65,8 +65,8 @@ class Preparations:
             stride=32,
             mask_coefficients=self.mask_coefficients,
         )
-        lanes = Lanes(detector.lanes(self.lanes, 1))
-        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64, lanes)
+        streams = InferenceStreams(detector.streams(self.streams, 1))
+        return PreparedModel(settings, detector, Path("/scripted.pt"), "0" * 64, streams)
 
     @property
     def running(self) -> ScriptedRuntime:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.runtimes.runtime import Predictions
 
 
@@ -25,19 +25,21 @@ class ScriptedRuntime:
         self.run = run
         self.compute_prototypes: Callable[[], NDArray[np.float32]] | None = None
         self.on_close: Callable[[], None] = lambda: None
-        self.calls: list[tuple[tuple[int, ...], Order, float]] = []
+        self.calls: list[tuple[tuple[int, ...], ChannelOrder, float]] = []
         self.is_closed = False
-        self.made_lanes: list[ScriptedRuntime] = []
+        self.made_streams: list[ScriptedRuntime] = []
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
-        self.calls.append((frame.shape, order, min_objectness))
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float = 0.0
+    ) -> Predictions:
+        self.calls.append((frame.shape, channel_order, min_objectness))
         return Predictions(self.run(), self.compute_prototypes)
 
-    def lanes(self, count: int, threads: int) -> list[ScriptedRuntime]:
+    def streams(self, count: int, threads: int) -> list[ScriptedRuntime]:
         for _ in range(count):
-            self.made_lanes.append(lane := ScriptedRuntime(self.run))
-            lane.on_close = self.on_close
-        return self.made_lanes[-count:] if count else []
+            self.made_streams.append(stream := ScriptedRuntime(self.run))
+            stream.on_close = self.on_close
+        return self.made_streams[-count:] if count else []
 
     def close(self) -> None:
         self.is_closed = True

@@ -211,7 +211,7 @@ class Candidate:
         for region in self.rules.blank_regions:
             corners = np.array(region.points_xy) * (width, height) * (1 << _SUBPIXEL_BITS)
             cv2.fillPoly(pixels, [np.rint(corners).astype(np.int32)], (0, 0, 0), shift=_SUBPIXEL_BITS)
-        return ColourImage(pixels, self.image.order)
+        return ColourImage(pixels, self.image.channel_order)
 
     @cached_property
     def _visible_detections(self) -> Detections:

@@ -14,7 +14,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE, Letterbox
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Counts, Selection, select
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.models.architecture import image_size_problem
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
@@ -28,7 +28,7 @@ class Detector:
     """Detects objects in images. Owns `runtime`; stateless between images.
 
     Detects for one thread at a time, others wait: two would overwrite each other's features. For threads that
-    detect at the same time there are `lanes`.
+    detect at the same time there are `streams`.
 
     `class_names` by class id. `image_size`: longer side of the network input in pixels, a multiple of
     `stride`, the largest stride of the model; else ValueError. `choice`: why this runtime was selected.
@@ -62,12 +62,12 @@ class Detector:
         self.selection = Selection()
         self.in_use = threading.RLock()
 
-    def __call__(self, pixels: NDArray[np.uint8], *, order: Order = "bgr") -> Detections:
+    def __call__(self, pixels: NDArray[np.uint8], *, channel_order: ChannelOrder = "bgr") -> Detections:
         """Detections in an image (H, W, 3) of dtype uint8, as cv2.imread returns it; see `detect`.
 
         Raises ImageError for anything else, such as None from cv2.imread.
         """
-        return self.detect(ColourImage(pixels, order), self.selection)
+        return self.detect(ColourImage(pixels, channel_order), self.selection)
 
     def detect(self, image: ColourImage, selection: Selection) -> Detections:
         """Detections in pixels of `image`, clipped to it; boxes entirely in the padding are dropped.
@@ -75,10 +75,10 @@ class Detector:
         Raises InferenceError when the network fails or its predictions are invalid.
         """
         letterbox = self._letterbox(image.size_hw)
-        pixels, order = image.as_sent
+        pixels, channel_order = image.as_sent
         frame = letterbox.apply(pixels)
         with self.in_use:
-            raw = self.runtime(frame, order, selection.min_objectness)
+            raw = self.runtime(frame, channel_order, selection.min_objectness)
             return self._detections(raw, letterbox, selection)
 
     def network_hw(self, size_hw: tuple[int, int]) -> tuple[int, int]:
@@ -130,9 +130,9 @@ class Detector:
                     predictions.compute_prototypes()
                 del predictions  # beside those of another run they would take their memory twice
 
-    def lanes(self, count: int, threads: int) -> tuple[Detector, ...]:
-        """Detectors of the same network for `count` threads at the same time; see `Runtime.lanes`."""
-        runtimes = self.runtime.lanes(count, threads)
+    def streams(self, count: int, threads: int) -> tuple[Detector, ...]:
+        """Detectors of the same network for `count` threads at the same time; see `Runtime.streams`."""
+        runtimes = self.runtime.streams(count, threads)
         detectors = tuple(copy(self) for _ in runtimes)
         for detector, runtime in zip(detectors, runtimes, strict=True):
             detector.runtime, detector.in_use = runtime, threading.RLock()

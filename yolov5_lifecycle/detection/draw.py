@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.images.region import BoxFilter, Region
 
 Colour = tuple[int, int, int]
@@ -58,7 +58,9 @@ def annotate(
     labels = detections.label_image() if label_image is None else label_image
     if labels is not None:
         draw_masks(
-            canvas, labels, [class_colour(each, image.order) for each in detections.class_ids.tolist()]
+            canvas,
+            labels,
+            [class_colour(each, image.channel_order) for each in detections.class_ids.tolist()],
         )
     height, width = image.size_hw
     corners = np.clip(np.rint(detections.boxes_xyxy), 0, np.array((width, height, width, height)) - 1)
@@ -66,11 +68,11 @@ def annotate(
     rows = list(zip(corners.astype(int).tolist(), class_ids, details, strict=True))[:MAX_DRAWN][::-1]
     shown = {class_id: printable(class_names[class_id]) for _, class_id, _ in rows}
     for (x1, y1, x2, y2), class_id, _ in rows:
-        cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.order), pen.line_px)
+        cv2.rectangle(canvas, (x1, y1), (x2, y2), class_colour(class_id, image.channel_order), pen.line_px)
     for (x1, y1, _, _), class_id, detail in rows:
-        colour = class_colour(class_id, image.order)
+        colour = class_colour(class_id, image.channel_order)
         label = f"{shown[class_id]} {detail}"
-        _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.order))
+        _draw_label(canvas, label, (x1, y1), pen, colour, text_colour(colour, image.channel_order))
     return canvas
 
 
@@ -126,18 +128,18 @@ def _details(detections: Detections, distances_m: Sequence[float | None]) -> lis
     ]
 
 
-def class_colour(class_id: int, order: Order) -> Colour:
+def class_colour(class_id: int, channel_order: ChannelOrder) -> Colour:
     """A vivid colour, fixed per class and distinct from those of adjacent class ids."""
     hue = class_id * _GOLDEN_RATIO % 1
     saturation, value = (0.9, 0.6)[class_id // 5 % 2], (1.0, 0.75)[class_id // 10 % 2]
     red, green, blue = (round(255 * channel) for channel in colorsys.hsv_to_rgb(hue, saturation, value))
-    return (red, green, blue) if order == "rgb" else (blue, green, red)
+    return (red, green, blue) if channel_order == "rgb" else (blue, green, red)
 
 
-def text_colour(background: Colour, order: Order) -> Colour:
+def text_colour(background: Colour, channel_order: ChannelOrder) -> Colour:
     """Black or white, whichever contrasts more (WCAG 2: equal contrast at relative luminance 0.179)."""
     linear = [((channel / 255 + 0.055) / 1.055) ** 2.4 for channel in background]
-    red, green, blue = linear if order == "rgb" else reversed(linear)
+    red, green, blue = linear if channel_order == "rgb" else reversed(linear)
     return (0, 0, 0) if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else (255, 255, 255)
 
 

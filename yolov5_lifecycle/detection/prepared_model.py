@@ -9,8 +9,8 @@ from pathlib import Path
 
 from yolov5_lifecycle.checkpoints.locate import WeightsFile, confined, find_weights, load_weights
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector, check_image_size
-from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
 from yolov5_lifecycle.detection.letterbox import Letterbox
+from yolov5_lifecycle.detection.stream_choice import InferenceStreams, choose_streams, processors
 from yolov5_lifecycle.input_file import resolve_package
 from yolov5_lifecycle.models.cost import check_memory, checked_cost, size_multiple
 from yolov5_lifecycle.models.model import Export, Model
@@ -33,7 +33,7 @@ class PreparedModel:
     detector: Detector
     weights_path: Path
     weights_sha256: str
-    lanes: Lanes = field(default_factory=Lanes)
+    streams: InferenceStreams = field(default_factory=InferenceStreams)
     """For frames of different cameras at the same time; `detector` is for a frame without others."""
 
     @property
@@ -51,7 +51,7 @@ class PreparedModel:
             "device": runtime.device,
             "precision": runtime.precision,
             "cost": str(self.detector.cost or ""),
-            "parallel frames": self.lanes.reason,
+            "parallel frames": self.streams.reason,
         }
         return {name: value for name, value in facts.items() if value}
 
@@ -70,7 +70,7 @@ class PreparedModel:
         Unless it `is_at_rest`, memory is not returned: on a GPU that would wait for the hanging frame.
         No reference cycle holds a network, so no gc run is needed; one would stop all threads for 0.15 s.
         """
-        self.lanes.close()
+        self.streams.close()
         self.detector.close()
         if is_at_rest:
             release_unused_memory()
@@ -100,11 +100,11 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
     try:
         _warm_up(detector, sizes_hw)
         is_asked = settings.parallel_frames > 0
-        lanes = choose_lanes(detector, sizes_hw, most=most_lanes(settings), is_asked=is_asked)
+        streams = choose_streams(detector, sizes_hw, most=most_streams(settings), is_asked=is_asked)
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
-    return PreparedModel(settings, detector, weights.path, weights.sha256, lanes)
+    return PreparedModel(settings, detector, weights.path, weights.sha256, streams)
 
 
 def _quantization(weights: WeightsFile, settings: Settings) -> Quantization | None:
@@ -123,7 +123,7 @@ def _warm_up(detector: Detector, sizes_hw: Sequence[tuple[int, int]]) -> None:
         detector.warm_up([size_hw])
 
 
-def most_lanes(settings: Settings) -> int:
+def most_streams(settings: Settings) -> int:
     """How many frames at most are in progress at the same time with `settings` on this machine."""
     wanted = settings.parallel_frames or MAX_PARALLEL_FRAMES
     return min(wanted, len(settings.camera_names), processors())

@@ -95,8 +95,8 @@ def _detected(remedy: str, *, runtime: str, device: str = "cpu", precision: str 
     """What the network finds in the image, and how fast; raises what `load_model` and `Detector` raise."""
     detector = load_model(_WEIGHTS, runtime=runtime, device=device, precision=precision)
     with closing(detector.runtime):
-        times_s = timeit.repeat(lambda: detector(_IMAGE, order="rgb"), number=1, repeat=_RUNS)
-        problem = difference(_TRUTH, detector(_IMAGE, order="rgb"))
+        times_s = timeit.repeat(lambda: detector(_IMAGE, channel_order="rgb"), number=1, repeat=_RUNS)
+        problem = difference(_TRUTH, detector(_IMAGE, channel_order="rgb"))
     if problem:
         return error(f"{device} {precision} differs from the ground truth: {problem}", remedy=remedy)
     median_ms = 1e3 * statistics.median(times_s)

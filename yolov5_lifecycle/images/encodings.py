@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.images.image import (
+    ChannelOrder,
     ColourImage,
     ImageError,
-    Order,
     check_frame_id,
     check_size,
     rows_of,
@@ -26,7 +26,7 @@ _CHANNELS = {"rgb8": "RGB", "bgr8": "BGR", "mono8": "GRAY", "rgba8": "RGBA", "bg
 class GreyImage(ColourImage):
     """An image of grey pixels (H, W), which are converted to RGB when `pixels` are asked for."""
 
-    order: Order = "rgb"
+    channel_order: ChannelOrder = "rgb"
 
     def __init__(self, grey: NDArray[np.uint8]) -> None:
         object.__setattr__(self, "_grey", grey)
@@ -44,7 +44,7 @@ class GreyImage(ColourImage):
         return height, width
 
     @property
-    def as_sent(self) -> tuple[NDArray[np.uint8], Order]:
+    def as_sent(self) -> tuple[NDArray[np.uint8], ChannelOrder]:
         """The grey pixels and their order, which is grey."""
         return self._grey, "grey"
 
@@ -61,7 +61,7 @@ class _Layout(NamedTuple):
 
     decode: Decode
     pixel_bytes: int
-    order: Order = "rgb"
+    channel_order: ChannelOrder = "rgb"
     rows: float = 1
     block_hw: tuple[int, int] = (1, 1)
     min_side_px: int = 1
@@ -175,12 +175,12 @@ def decode_raw(
         encoding=encoding,
     )
     pixels = layout.decode(rows, bool(is_bigendian))
-    return GreyImage(pixels) if layout.order == "grey" else ColourImage(pixels, layout.order)
+    return GreyImage(pixels) if layout.channel_order == "grey" else ColourImage(pixels, layout.channel_order)
 
 
 def encoded(image: ColourImage, encoding: str) -> NDArray[np.uint8]:
     """Pixels (H, W, channels) in `encoding`: rgb8, bgr8, mono8, rgba8 or bgra8; else KeyError."""
-    present, wanted = image.order.upper(), _CHANNELS[encoding]
+    present, wanted = image.channel_order.upper(), _CHANNELS[encoding]
     if present == wanted:
         return image.pixels
     pixels = _converted(image.pixels, getattr(cv2, f"COLOR_{present}2{wanted}"))

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Order = Literal["rgb", "bgr", "grey"]
+ChannelOrder = Literal["rgb", "bgr", "grey"]
 
 MAX_SIDE_PX = 16384
 """Maximum width and height: no camera exceeds it, but a corrupt message may."""
@@ -31,7 +31,7 @@ class ColourImage:
 
     pixels: NDArray[np.uint8]
     """(H, W, 3), possibly a read-only view with padded rows."""
-    order: Order
+    channel_order: ChannelOrder
 
     def __post_init__(self) -> None:
         _check_pixels(self.pixels)
@@ -43,9 +43,9 @@ class ColourImage:
         return height, width
 
     @property
-    def as_sent(self) -> tuple[NDArray[np.uint8], Order]:
+    def as_sent(self) -> tuple[NDArray[np.uint8], ChannelOrder]:
         """Pixels and their order before any conversion: (H, W, 3), or (H, W) if the order is grey."""
-        return self.pixels, self.order
+        return self.pixels, self.channel_order
 
 
 def _check_pixels(pixels: object) -> None:

@@ -109,7 +109,7 @@ class _DetectionBag:
             self._add(self._masks, timestamp_ns, _image(labels.astype("<u2"), "16UC1", header))
         if self._images is not None:
             drawn = self._detector.drawn(found.image, found.detections, labels)
-            self._add(self._images, timestamp_ns, _image(drawn.pixels, f"{drawn.order}8", header))
+            self._add(self._images, timestamp_ns, _image(drawn.pixels, f"{drawn.channel_order}8", header))
 
     def _topic(
         self, name: str, type_name: str, *, depth: int, durability: QosDurability = QosDurability.VOLATILE

@@ -148,7 +148,7 @@ class OfflineDetector:
             label_image=label_image,
             box_filter=self._selection.box_filter,
         )
-        return ColourImage(pixels, image.order)
+        return ColourImage(pixels, image.channel_order)
 
     def run(
         self,

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.models.network import Network
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
 from yolov5_lifecycle.runtimes.processor import abilities, weight_bits
@@ -104,12 +104,12 @@ def activations(
     return {path: histogram.activation() for path, histogram in histograms.items()}
 
 
-def network_pixels(pixels: NDArray[np.uint8], order: Order, channels: int) -> Tensor:
+def network_pixels(pixels: NDArray[np.uint8], channel_order: ChannelOrder, channels: int) -> Tensor:
     """(1, channels, h, w), floats in [0, 1], as the network reads them; `pixels`: (h, w, 3) or (h, w)."""
     from yolov5_lifecycle.runtimes.compiled_runtime import write_planes  # its package is optional
 
     planes: NDArray[np.uint8] = np.empty((channels, *pixels.shape[:2]), np.uint8)
-    write_planes(pixels, order, planes)
+    write_planes(pixels, channel_order, planes)
     return torch.from_numpy(planes)[None].float() / 255
 
 

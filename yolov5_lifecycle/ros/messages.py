@@ -41,7 +41,7 @@ def jpeg_of_message(message: Image | CompressedImage, image: ColourImage) -> NDA
 
     Others are rotated by their EXIF data, which ROS ignores, have red and blue exchanged, or are mosaics.
     """
-    if not isinstance(message, CompressedImage) or image.order != "bgr":
+    if not isinstance(message, CompressedImage) or image.channel_order != "bgr":
         return None
     data = bytes_of(message.data)
     return data if is_jpeg(data) and b"Exif" not in data[:_EXIF_BYTES].tobytes() else None

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.models.head import Detect, Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import fuse
@@ -107,10 +107,12 @@ class CompiledRuntime:
         """None once closed."""
         self._networks = NetworksByShape(lambda shape: program.network(shape, threads), kept=kept)
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float = 0.0
+    ) -> Predictions:
         """See `Runtime`; the first frame of each size waits for the compiler."""
         shape = frame.shape[0], frame.shape[1]
-        predictions = self._using(shape, lambda network: network(frame, order, min_objectness))
+        predictions = self._using(shape, lambda network: network(frame, channel_order, min_objectness))
         compute = predictions.compute_prototypes
         if compute is None:
             return predictions
@@ -128,7 +130,7 @@ class CompiledRuntime:
             problem = in_one_line(str(error).partition("\n")[0])
         raise InferenceError(f"{self.name} failed on {self.device}: {problem}")
 
-    def lanes(self, count: int, threads: int) -> list[CompiledRuntime]:
+    def streams(self, count: int, threads: int) -> list[CompiledRuntime]:
         """See `Runtime`."""
         if (program := self._program) is None:
             raise closed()
@@ -207,9 +209,11 @@ class _Compiled:
         self._run_proto: Run | None = None
         self._planes = np.empty((1, compiler.channels, *shape), np.uint8)
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float
+    ) -> Predictions:
         """See `Runtime`; the next run may overwrite the features from which prototypes are computed."""
-        write_planes(frame, order, self._planes[0])
+        write_planes(frame, channel_order, self._planes[0])
         features = self._run(self._planes)
         return Predictions(
             self._compiler.head(features, min_objectness),
@@ -233,14 +237,14 @@ def _mean(features: Features) -> NDArray[np.float32]:
     return mean
 
 
-def write_planes(frame: NDArray[np.uint8], order: Order, planes: NDArray[np.uint8]) -> None:
+def write_planes(frame: NDArray[np.uint8], channel_order: ChannelOrder, planes: NDArray[np.uint8]) -> None:
     """Write a frame (h, w, 3), or (h, w) if it is grey, into `planes`: (3, h, w) RGB or (1, h, w) grey."""
-    if order == "grey":
+    if channel_order == "grey":
         planes[:] = frame
     elif len(planes) == 1:
-        cv2.cvtColor(frame, _TO_GREY[order], dst=planes[0])
+        cv2.cvtColor(frame, _TO_GREY[channel_order], dst=planes[0])
     else:
-        cv2.split(frame, [planes[plane] for plane in _PLANES[order]])
+        cv2.split(frame, [planes[plane] for plane in _PLANES[channel_order]])
 
 
 class DetectionHead:

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.models.model import Export
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.runtimes.compiled_runtime import (
@@ -73,10 +73,12 @@ class _ExportedNetwork:
         self._run = loaded()
         self._planes = np.zeros((export.batch or 1, export.channels, *shape), np.uint8)
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float) -> Predictions:
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float
+    ) -> Predictions:
         """See `Runtime`."""
         export = self._export
-        write_planes(frame, order, self._planes[0])
+        write_planes(frame, channel_order, self._planes[0])
         pixels = np.multiply(self._planes, 1 / 255, dtype=np.float32)
         outputs = self._run(pixels.astype(np.float16) if export.is_half else pixels)
         rows = _likely_rows(np.asarray(outputs[export.boxes], np.float32)[0], export, min_objectness)

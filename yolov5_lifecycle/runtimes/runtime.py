@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 
 
 class InferenceError(RuntimeError):
@@ -54,7 +54,9 @@ class Runtime(Protocol):
     def precision(self) -> str:
         """The resolved precision: fp32, fp16, bf16 or int8."""
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float = 0.0
+    ) -> Predictions:
         """Raw predictions for a letterboxed frame.
 
         The frame has the shape (h, w, 3), or (h, w) if its order is grey; it is converted to the channels
@@ -64,7 +66,7 @@ class Runtime(Protocol):
         in [0, 1], up to rounding; which others are returned depends on the runtime. Raises InferenceError.
         """
 
-    def lanes(self, count: int, threads: int) -> Sequence[Runtime]:
+    def streams(self, count: int, threads: int) -> Sequence[Runtime]:
         """The same network for `count` threads at the same time, each of which uses `threads` processors.
 
         They have buffers of their own, and share the weights, with this one only in torch. The caller closes

@@ -1,4 +1,4 @@
-"""Measured speed: of a network whole and in lanes; the fastest installed runtime, which is cached."""
+"""Measured speed: of a network whole and in streams; the fastest installed runtime, which is cached."""
 
 from __future__ import annotations
 
@@ -142,10 +142,10 @@ def measure_ms(
     return {name: each.wall_ms for name, each in taken.items()}
 
 
-def measure_lanes_ms(
-    whole: Runtime, lanes: Sequence[Runtime], *, frames_hw: Sequence[tuple[int, int]]
+def measure_streams_ms(
+    whole: Runtime, streams: Sequence[Runtime], *, frames_hw: Sequence[tuple[int, int]]
 ) -> tuple[float, float]:
-    """Median milliseconds per frame, the mean of all `frames_hw`: of `whole`, and of all `lanes` at once.
+    """Median milliseconds per frame, the mean of all `frames_hw`: of `whole`, and of all `streams` at once.
 
     The runtimes are warm. Raises InferenceError.
     """
@@ -155,9 +155,9 @@ def measure_lanes_ms(
         for frame in frames:
             runtime(frame, "rgb", _NOTHING_FOUND)
 
-    with ThreadPoolExecutor(len(lanes)) as threads:
-        taken = _take_turns({"whole": partial(run, whole), "lanes": lambda: [*threads.map(run, lanes)]})
-    return taken["whole"].wall_ms / len(frames), taken["lanes"].wall_ms / (len(frames) * len(lanes))
+    with ThreadPoolExecutor(len(streams)) as threads:
+        taken = _take_turns({"whole": partial(run, whole), "streams": lambda: [*threads.map(run, streams)]})
+    return taken["whole"].wall_ms / len(frames), taken["streams"].wall_ms / (len(frames) * len(streams))
 
 
 def _warm_runtime(model: Model, name: str, precision: str, frame: NDArray[np.uint8]) -> Runtime | None:

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from yolov5_lifecycle.images.image import Order
+from yolov5_lifecycle.images.image import ChannelOrder
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network, fuse
@@ -104,12 +104,14 @@ class TorchRuntime:
     def precision(self) -> str:
         return _PRECISIONS[self._dtype]
 
-    def __call__(self, frame: NDArray[np.uint8], order: Order, min_objectness: float = 0.0) -> Predictions:
+    def __call__(
+        self, frame: NDArray[np.uint8], channel_order: ChannelOrder, min_objectness: float = 0.0
+    ) -> Predictions:
         """See `Runtime`; DeviceLostError when CUDA no longer works in this process."""
         shape = frame.shape[0], frame.shape[1]
 
         def predict(forward: Forward) -> Predictions:
-            pixels = torch.from_numpy(_as_channels(frame, order, self._channels))
+            pixels = torch.from_numpy(_as_channels(frame, channel_order, self._channels))
             (raw,), finest, coarsest = forward(pixels.unsqueeze(0))
             return Predictions(
                 _likely(raw, min_objectness),
@@ -143,18 +145,19 @@ class TorchRuntime:
         # The tensors of this frame are freed only outside the except block (pytorch/pytorch#18853).
         raise self._failure(problem)
 
-    def lanes(self, count: int, threads: int) -> list[TorchRuntime]:
+    def streams(self, count: int, threads: int) -> list[TorchRuntime]:
         """See `Runtime`; from now on this one uses as many threads as torch does in the calling thread."""
         if self._device.type != "cpu":
             raise DeviceError(
                 f"Device '{self._device}' runs one frame at a time: set parallel_frames to 0 or 1."
             )
         total = torch.get_num_threads()
-        self._threads = (total, total)  # a thread that begins while a lane runs has the number of the lane
+        # A thread that begins while a stream runs has the number of threads of the stream.
+        self._threads = (total, total)
         if (network := self._network) is None:
             raise closed()
-        lane = partial(TorchRuntime, network, device=self._device, dtype=self._dtype, kept=self._kept)
-        return [lane(threads=(threads, total)) for _ in range(count)]
+        stream = partial(TorchRuntime, network, device=self._device, dtype=self._dtype, kept=self._kept)
+        return [stream(threads=(threads, total)) for _ in range(count)]
 
     def close(self) -> None:
         """See `Runtime`."""
@@ -187,12 +190,14 @@ def _threads(of_run_and_after: tuple[int, int] | None) -> Iterator[None]:
         torch.set_num_threads(after)
 
 
-def _as_channels(frame: NDArray[np.uint8], order: Order, channels: int) -> NDArray[np.uint8]:
+def _as_channels(frame: NDArray[np.uint8], channel_order: ChannelOrder, channels: int) -> NDArray[np.uint8]:
     """A frame (h, w, 3), or (h, w) if it is grey, as (h, w, 3) RGB or as (h, w, 1) grey; copied if needed."""
     if channels == 1:
-        grey = frame if order == "grey" else cv2.cvtColor(frame, _TO_GREY[order])
+        grey = frame if channel_order == "grey" else cv2.cvtColor(frame, _TO_GREY[channel_order])
         return np.asarray(grey, np.uint8)[..., None]
-    return frame if order == "rgb" else np.asarray(cv2.cvtColor(frame, _TO_RGB[order]), np.uint8)
+    return (
+        frame if channel_order == "rgb" else np.asarray(cv2.cvtColor(frame, _TO_RGB[channel_order]), np.uint8)
+    )
 
 
 def _forward(network: Network, shape: Shape, *, device: torch.device, dtype: torch.dtype) -> Forward:

@@ -20,7 +20,7 @@ from support.lone_node import lone_node
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.images.encodings import decode_raw, encoded
-from yolov5_lifecycle.images.image import ColourImage, Order
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.ros.camera import outputs
 from yolov5_lifecycle.ros.camera.outputs import CameraOutputs, jpeg_message
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
@@ -46,12 +46,12 @@ def video(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("encoding", get_args(CameraSettings.model_fields["encoding"].annotation))
-@pytest.mark.parametrize("order", ["rgb", "bgr"])
-def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: str) -> None:
+@pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
+def test_what_is_encoded_is_decoded_to_the_same_colours(channel_order: ChannelOrder, encoding: str) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
     if encoding == "mono8":
         pixels[...] = pixels[..., :1]
-    buffer = encoded(ColourImage(pixels, order), encoding)
+    buffer = encoded(ColourImage(pixels, channel_order), encoding)
     height, width, channels = buffer.shape
     decoded = decode_raw(
         buffer.tobytes(),
@@ -61,7 +61,7 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(order: Order, encoding: 
         step=width * channels,
         is_bigendian=False,
     )
-    same = decoded.pixels if decoded.order == order else decoded.pixels[..., ::-1]
+    same = decoded.pixels if decoded.channel_order == channel_order else decoded.pixels[..., ::-1]
     assert (same == pixels).all()
 
 

@@ -175,7 +175,7 @@ class Streams:
         of_streams = [threading.Event(), threading.Event()]
         begun = [threading.Event(), threading.Event()]
         self._released += of_streams
-        for stream, is_begun, may_end in zip(whole.made_lanes, begun, of_streams, strict=True):
+        for stream, is_begun, may_end in zip(whole.made_streams, begun, of_streams, strict=True):
             stream.run = self._held(is_begun, may_end)
         self.served.wait_for(
             lambda: all(camera.send() and camera.counts()["pending"] for camera in others), "two that wait"
@@ -199,7 +199,7 @@ class Streams:
 
 @contextmanager
 def two_streams(prepare: Preparations, rest_timeout_s: float = REST_TIMEOUT_S) -> Iterator[Streams]:
-    prepare.lanes = 2
+    prepare.streams = 2
     parameters = [f"cameras:=[{', '.join(NAMES)}]"]
     with ServedNode(prepare, parameters=parameters, rest_timeout_s=rest_timeout_s) as served:
         streams = Streams(served, prepare)

@@ -119,13 +119,13 @@ def farthest(thumbnails: NDArray[np.floating], count: int) -> list[int]:
 def fitted(image: ColourImage, *, image_size: int, stride: int) -> ColourImage:
     """`image` as the network receives it."""
     letterbox = Letterbox.fit(image.size_hw, image_size=image_size, stride=stride)
-    return ColourImage(letterbox.apply(image.pixels), image.order)
+    return ColourImage(letterbox.apply(image.pixels), image.channel_order)
 
 
 def of_one_size(images: Sequence[ColourImage]) -> list[ColourImage]:
     """The images, at least one, in the size that most have; others fit into it, with grey bands."""
     ((size_hw, _),) = Counter(image.size_hw for image in images).most_common(1)
     return [
-        ColourImage(Letterbox.into(image.size_hw, size_hw).apply(image.pixels), image.order)
+        ColourImage(Letterbox.into(image.size_hw, size_hw).apply(image.pixels), image.channel_order)
         for image in images
     ]

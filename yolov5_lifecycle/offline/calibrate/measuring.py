@@ -179,7 +179,7 @@ class Calibrating:
         """The activations that convolutions read, and the paths of these, the most sensitive first."""
         network = fuse(self._model.network())
         channels = self._model.architecture.image_channels
-        frames = [network_pixels(image.pixels, image.order, channels) for image in self._learned]
+        frames = [network_pixels(image.pixels, image.channel_order, channels) for image in self._learned]
         read = activations(
             network, frames, progress=lambda done: self._tell(f"ranges: {done} of {len(frames)} images")
         )

@@ -243,7 +243,7 @@ class Crops:
             x1, y1, x2, y2 = found.inside_xyxy[row].tolist()
             left, top = min(int(x1), width - 1), min(int(y1), height - 1)
             right, bottom = max(int(np.ceil(x2)), left + 1), max(int(np.ceil(y2)), top + 1)
-            touched = ColourImage(found.image.pixels[top:bottom, left:right], found.image.order)
+            touched = ColourImage(found.image.pixels[top:bottom, left:right], found.image.channel_order)
             self._folders[class_id].mkdir(exist_ok=True)
             write_image(self._folders[class_id] / f"{name}_{row}.jpg", touched)
 

@@ -110,7 +110,7 @@ class Stage:
         self.release(topic)
         best, _ = max(later, key=lambda messages: len(messages[1].detections))
         image = image_of_message(best)
-        return image.pixels if image.order == "bgr" else image.pixels[..., ::-1]
+        return image.pixels if image.channel_order == "bgr" else image.pixels[..., ::-1]
 
     def check(self, is_right: bool, found: str, expected: str) -> None:
         """Report what was found; raise DemonstrationError unless it is right."""

@@ -88,7 +88,7 @@ class CameraPipeline:
 
     @property
     def parallel(self) -> Sequence[Detector]:
-        return self.model.lanes.detectors
+        return self.model.streams.detectors
 
     def detect(self, frame: ReceivedFrame, network: Detector) -> DetectedFrame:
         """Read the image, keep the depth image nearest to it, and detect objects.
@@ -170,7 +170,7 @@ class CameraPipeline:
                 label_image=label_image,
                 box_filter=self.selection.box_filter,
             )
-            yield from self.outputs.image_messages(ColourImage(drawn, result.image.order), header)
+            yield from self.outputs.image_messages(ColourImage(drawn, result.image.channel_order), header)
 
 
 def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
@@ -238,7 +238,7 @@ class Outputs:
         """Messages with an annotated image, raw and compressed, for each topic that has a subscriber."""
         if self._image.get_subscription_count():
             yield partial(
-                self._image.publish, messages.image_message(image.pixels, f"{image.order}8", header)
+                self._image.publish, messages.image_message(image.pixels, f"{image.channel_order}8", header)
             )
         if self._compressed_image.get_subscription_count():
             try:
@@ -250,7 +250,7 @@ class Outputs:
                     throttle_duration_sec=5.0,
                 )
                 return
-            message = messages.compressed_image_message(jpeg, f"{image.order}8", header)
+            message = messages.compressed_image_message(jpeg, f"{image.channel_order}8", header)
             yield partial(self._compressed_image.publish, message)
 
     def close(self) -> None:

@@ -12,10 +12,10 @@ from support.random_model import CLASS_NAMES, random_model
 from support.runtime_names import EVERY_RUNTIME
 from support.scripted_runtime import ScriptedRuntime
 
-from yolov5_lifecycle.detection import lane_choice, prepared_model
+from yolov5_lifecycle.detection import prepared_model, stream_choice
 from yolov5_lifecycle.detection.detector import Detector
-from yolov5_lifecycle.detection.lane_choice import Lanes, choose_lanes, processors
-from yolov5_lifecycle.detection.prepared_model import load_detector, most_lanes
+from yolov5_lifecycle.detection.prepared_model import load_detector, most_streams
+from yolov5_lifecycle.detection.stream_choice import InferenceStreams, choose_streams, processors
 from yolov5_lifecycle.runtimes.runtime import InferenceError
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 from yolov5_lifecycle.settings.settings import Settings
@@ -29,7 +29,7 @@ def _machine(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def set_processors(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    for module in (lane_choice, prepared_model):
+    for module in (stream_choice, prepared_model):
         monkeypatch.setattr(module, "processors", lambda: count)
 
 
@@ -47,7 +47,7 @@ def with_cameras(count: int, parallel_frames: int = 0) -> Settings:
 
 
 def wish(settings: Settings) -> dict[str, Any]:
-    return {"most": most_lanes(settings), "is_asked": settings.parallel_frames > 0}
+    return {"most": most_streams(settings), "is_asked": settings.parallel_frames > 0}
 
 
 def chosen(
@@ -55,14 +55,14 @@ def chosen(
     settings: Settings,
     together_ms: dict[int, float],
     resident: Callable[[], float | None] = lambda: 400.0,
-) -> Lanes:
-    """Choose where a frame takes 20 ms alone, and `together_ms` with that number of lanes."""
+) -> InferenceStreams:
+    """Choose where a frame takes 20 ms alone, and `together_ms` with that number of streams."""
 
-    def measure(whole: object, lanes: Sequence[object], *, frames_hw: object) -> tuple[float, float]:
-        return 20.0, together_ms[len(lanes)]
+    def measure(whole: object, streams: Sequence[object], *, frames_hw: object) -> tuple[float, float]:
+        return 20.0, together_ms[len(streams)]
 
     sizes_hw = [VGA] * len(settings.camera_names)
-    return choose_lanes(detector, sizes_hw, **wish(settings), measure=measure, resident=resident)
+    return choose_streams(detector, sizes_hw, **wish(settings), measure=measure, resident=resident)
 
 
 @pytest.mark.parametrize(
@@ -73,23 +73,23 @@ def chosen(
         pytest.param({2: 20.9, 4: 20.5, 6: 30.0}, 2, id="hardly slower"),
     ],
 )
-def test_the_fastest_number_of_lanes_is_used_and_the_others_are_freed(
+def test_the_fastest_number_of_streams_is_used_and_the_others_are_freed(
     together_ms: dict[int, float], count: int
 ) -> None:
     detector = scripted()
-    lanes = chosen(detector, with_cameras(6), together_ms)
-    assert len(lanes.detectors) == count
-    assert lanes.reason.startswith(f"{max(1, count)}: 2 at once {together_ms[2]:.1f} ms a frame")
+    streams = chosen(detector, with_cameras(6), together_ms)
+    assert len(streams.detectors) == count
+    assert streams.reason.startswith(f"{max(1, count)}: 2 at once {together_ms[2]:.1f} ms a frame")
     runtime: Any = detector.runtime
-    assert [lane for lane in runtime.made_lanes if not lane.is_closed] == [
-        each.runtime for each in lanes.detectors
+    assert [stream for stream in runtime.made_streams if not stream.is_closed] == [
+        each.runtime for each in streams.detectors
     ]
 
 
-def test_lanes_that_take_too_much_memory_are_not_used_and_the_reason_says_so() -> None:
+def test_streams_that_take_too_much_memory_are_not_used_and_the_reason_says_so() -> None:
     resident = iter([400.0, 400.0, 501.0])
-    lanes = chosen(scripted(), with_cameras(2), {2: 10.0}, lambda: next(resident))
-    assert (lanes.detectors, lanes.reason) == (
+    streams = chosen(scripted(), with_cameras(2), {2: 10.0}, lambda: next(resident))
+    assert (streams.detectors, streams.reason) == (
         (),
         "1: 2 at once 10.0 ms a frame, alone 20.0 ms, not used: 101 MB more than 400 MB",
     )
@@ -114,15 +114,15 @@ def test_nothing_is_measured_where_there_is_no_choice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     set_processors(monkeypatch, processors)
-    lanes = chosen(scripted(), with_cameras(cameras, parallel_frames), {})
-    assert (len(lanes.detectors), lanes.reason) == (count, reason)
+    streams = chosen(scripted(), with_cameras(cameras, parallel_frames), {})
+    assert (len(streams.detectors), streams.reason) == (count, reason)
 
 
 @pytest.mark.parametrize(("quota", "count"), [(None, 8), (2.5, 3), (0.5, 1), (99.0, 8)])
 def test_a_control_group_limits_the_processors(
     quota: float | None, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lane_choice, "cores", lambda: quota)
+    monkeypatch.setattr(stream_choice, "cores", lambda: quota)
     monkeypatch.setattr("torch.get_num_threads", lambda: 8)
     assert processors() == count
 
@@ -132,7 +132,7 @@ class OneAtATime(ScriptedRuntime):
 
     device = "cuda:0"
 
-    def lanes(self, count: int, threads: int) -> list[ScriptedRuntime]:
+    def streams(self, count: int, threads: int) -> list[ScriptedRuntime]:
         raise DeviceError("one at a time")
 
 
@@ -143,7 +143,7 @@ def test_a_gpu_runs_one_frame_at_a_time_and_refuses_more() -> None:
         chosen(detector, with_cameras(6, parallel_frames=2), {})
 
 
-def test_lanes_that_fail_are_freed() -> None:
+def test_streams_that_fail_are_freed() -> None:
     detector = scripted()
     runtime: Any = detector.runtime
 
@@ -153,7 +153,7 @@ def test_lanes_that_fail_are_freed() -> None:
     runtime.run = fail
     with pytest.raises(InferenceError, match="out of memory"):
         chosen(detector, with_cameras(2, parallel_frames=2), {})
-    assert [lane.is_closed for lane in runtime.made_lanes] == [True, True]
+    assert [stream.is_closed for stream in runtime.made_streams] == [True, True]
 
 
 @pytest.mark.long
@@ -163,7 +163,7 @@ def test_every_runtime_is_measured(runtime: str) -> None:
         random_model(0), runtime=runtime, device="cpu", precision="fp32", image_size=320, cameras=2
     )
     detector.warm_up([VGA])
-    lanes = choose_lanes(detector, [VGA, VGA], **wish(with_cameras(2)))
-    assert "2 at once" in lanes.reason
-    assert len(lanes.detectors) in (0, 2)
-    assert most_lanes(with_cameras(2)) == 2
+    streams = choose_streams(detector, [VGA, VGA], **wish(with_cameras(2)))
+    assert "2 at once" in streams.reason
+    assert len(streams.detectors) in (0, 2)
+    assert most_streams(with_cameras(2)) == 2
