@@ -1,4 +1,4 @@
-"""What every runtime does alike: rows, colours, embeddings, prototypes, streams, denormal numbers, its end."""
+"""What every runtime does alike: rows, colours, embeddings, prototypes, streams, denormals, its end."""
 
 from __future__ import annotations
 
