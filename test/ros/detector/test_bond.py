@@ -65,6 +65,8 @@ def test_configure_says_what_a_bond_needs_where_its_messages_are_missing(
         problem = served.values()["last problem"]
         needed = ("bond_timeout 4", "ros-kilted-bond", "bond_timeout 0.0")
         assert all(words in problem for words in needed)
+    with ServedNode(prepare) as served:
+        served.bring_to("inactive")
 
 
 @pytest.mark.parametrize(("timeout_s", "period_s"), [(60.0, 0.1), (0.2, 0.05), (0.001, 0.01)])

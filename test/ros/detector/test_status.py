@@ -352,7 +352,8 @@ def test_a_reason_is_logged_when_it_begins_whatever_its_numbers(ros_domain: int)
     looks = [
         *((0.0, status) for status in (unnamed, GOOD, *silent[:3], GOOD, silent[0], BLIND, BLIND)),
         *((59.0, status) for status in (silent[1], GOOD)),
-        *((120.0, status) for status in (silent[3], inactive, silent[4], with_topic())),
+        (100.0, silent[2]),
+        *((170.0, status) for status in (silent[3], inactive, silent[4], with_topic())),
     ]
     now_s, seen = 0.0, GOOD
     with closing(Observer("watched", domain=ros_domain)) as observer:

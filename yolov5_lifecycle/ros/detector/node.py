@@ -162,7 +162,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         try:
             check_place(settings)
             if settings.bond_timeout:
-                status_type(settings.bond_timeout)
+                status_type(settings.bond_timeout)  # raises without it
         except ValueError as error:
             self.report(f"configure refused: {error}")
             return FAILURE
