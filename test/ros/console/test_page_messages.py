@@ -156,16 +156,24 @@ def test_the_bar_of_twelve_detectors_is_one_row_with_the_shown_one_in_view(
     assert 0 <= box["left"] < box["right"] <= PHONE[0]
 
 
-def test_fine_warned_and_failed_have_each_their_colour_in_the_tab(screen: Chrome, console_url: str) -> None:
+def test_ok_idle_warning_and_error_have_each_their_colour_in_the_tab(
+    screen: Chrome, console_url: str
+) -> None:
     page = opened_page(screen, console_url, ACTIVE)
     page.wait_for_state("active")
     node, colours = node_sent(screen, ACTIVE), set()
-    for level, word in enumerate(("ok", "warning", "error")):
+    shown = (
+        (0, "active", "ok"),
+        (0, "inactive", "inactive"),
+        (1, "active", "warning"),
+        (2, "active", "error"),
+    )
+    for level, state, word in shown:
         status = node["diagnostics"][0] | {"level": level, "message": ""}
-        deliver(screen, type="node", node=node | {"diagnostics": [status], "cameras": []})
+        deliver(screen, type="node", node=node | {"state": state, "diagnostics": [status], "cameras": []})
         tab = screen.find_element(By.PARTIAL_LINK_TEXT, f"{ACTIVE} {word}")
         colours.add(tab.find_element(By.CLASS_NAME, "symbol").value_of_css_property("color"))
-    assert len(colours) == 3
+    assert len(colours) == len(shown)
 
 
 def test_only_the_image_of_the_detector_in_the_address_is_opened(screen: Chrome, console_url: str) -> None:
