@@ -89,7 +89,8 @@ def test_a_place_that_cannot_be_written_costs_the_memory_only(
     with caplog.at_level(logging.INFO):
         store.keep(ONE, b"compiled")
     assert store.read(ONE) is None
-    assert "Not cached in " in caplog.text
+    assert f"Not cached in {tmp_path}/folder: " in caplog.text
+    assert "set XDG_CACHE_HOME to another folder" in caplog.text
 
 
 def test_what_was_not_used_for_longest_is_cleared_away(tmp_path: Path) -> None:
