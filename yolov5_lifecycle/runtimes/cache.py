@@ -76,9 +76,11 @@ class DiskCache:
             write_cache(self.folder / key, hashlib.sha256(content).digest(), content)
         except NO_PLACE as error:
             _log.warning(
-                "Not cached in %s: %s. Give this user the right to write it, or set XDG_CACHE_HOME to another "
-                "folder: without a cache, each start compiles the model and compares the runtimes again.",
-                *(self.folder, error),
+                "Not cached in %s: %s. Give this user the right to write it, "
+                "or set XDG_CACHE_HOME to another folder: without a cache, each start compiles the model and "
+                "compares the runtimes again.",
+                self.folder,
+                error,
             )
             return
         with suppress(*NO_PLACE):  # another process may evict at the same time
