@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log, ParameterEvent
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -100,7 +101,10 @@ class Detectors:
         log = self._logs.pop(name, LogView())
         detector = Detector(self.ros, name, self._changed, log, self._candidates[name])
         self._followed[name] = detector
-        await detector.open()
+        try:
+            await detector.open()
+        except NameValidationException as error:
+            self.ros.node.get_logger().warning(f"{name} cannot be shown: {error}")
 
     async def _forget(self, detector: Detector) -> None:
         del self._followed[detector.name]

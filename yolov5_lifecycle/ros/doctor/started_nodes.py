@@ -28,7 +28,8 @@ from yolov5_lifecycle.ros.shared_memory import PROFILE_VARIABLES
 _WIDTH, _HEIGHT = 1280, 720
 _RATE_HZ = 15.0
 _WATCHED_S = 4.0
-_DISCOVERY_S = 20.0
+_START_S, _DISCOVERY_S = 600.0, 20.0
+"""For a camera that sends, which a busy machine delays and `--time` ends, and for its first image."""
 _FEW_LOST = 0.05
 
 
@@ -97,6 +98,7 @@ def _watched() -> Arrivals:
             ChildProcess("camera", [entry_point("camera"), "--ros-args", *words], environment) as camera,
             closing(Observer("doctor", domain=domain, check=camera.check_running)) as observer,
         ):
+            camera.wait_for_output("publishing", _START_S)
             observer.create_subscription(Image, "/image_raw", arrivals.take, qos_profile_sensor_data)
             with suppress(TimeoutError):
                 observer.wait_for(lambda: bool(arrivals.numbers), "an image", timeout_s=_DISCOVERY_S)
