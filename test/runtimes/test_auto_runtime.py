@@ -122,6 +122,7 @@ def test_a_folder_that_cannot_be_written_costs_the_memory_only(
     assert choice.runtime in INSTALLED
     assert choice.reason.endswith("; measured now")
     assert "Not cached in " in caplog.text
+    assert "set XDG_CACHE_HOME" in caplog.text
 
 
 @needs_choice

@@ -86,7 +86,10 @@ def choose_runtime(
     try:
         write_cache(path, figures_ms)
     except NO_PLACE as error:
-        _log.warning("Not cached in %s: %s", path.parent, error)
+        remedy = (
+            "Give this user the right to write it, or set XDG_CACHE_HOME: else each start measures again."
+        )
+        _log.warning("Not cached in %s: %s. %s", path.parent, error, remedy)
     return _fastest(figures_ms, "measured now")
 
 
