@@ -137,6 +137,8 @@ class MixedLife:
 
     def _set(self) -> None:
         name = self._choose(list(_SETTINGS))
+        if name == "cameras":
+            self._subject.hear_cameras()
         self._subject.node.set_parameters(**{name: self._choose(_SETTINGS[name])})
 
     def _change_camera(self) -> None:

@@ -138,8 +138,17 @@ class Subject(DetectorProcess):
         size = Parameter("image_size", value=image_size).to_parameter_msg()
         return self._raw_parameters.call_async(SetParameters.Request(parameters=[size]))
 
+    def hear_cameras(self) -> None:
+        """Wait for a report of the configured cameras; call it before `cameras` may change.
+
+        Counts of a camera that goes and comes back between two reports begin again, as if frames were lost.
+        """
+        told = self.balance.told
+        self.observer.wait_for(lambda: self.balance.told > told, "diagnostics")
+
     def reset(self) -> None:
         """Return to unconfigured, with the initial parameters and clock."""
+        self.hear_cameras()
         super().reset()
         assert self.node.set_parameters(use_sim_time=False) == ""
 

@@ -15,6 +15,8 @@ prepare_environment()  # as the commands do; child processes inherit it
 if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     # nohup ignores it, which child processes would inherit; a handler is reset to the default in them.
     signal.signal(signal.SIGHUP, lambda *_: None)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a script leaves it to what it starts with `&`
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # On every machine frames run one at a time, unless a test asks for more. Beside other workers, more threads
 # for one network only wait for each other. Child processes inherit it.
 os.environ["OMP_NUM_THREADS"] = "1"
