@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import io
 import itertools
-import threading
-import zipfile
-import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path, PosixPath
 from typing import Any
 from unittest import mock
@@ -151,26 +147,6 @@ def assert_same(found: Model, expected: Model) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("protocol", [3, 4, 5])
-@pytest.mark.parametrize(
-    "make",
-    [
-        pytest.param(
-            lambda: stripped(official_model(SEGMENTATION, kind="models.yolo.SegmentationModel")),
-            id="segmentation",
-        ),
-        pytest.param(lambda: training_checkpoint(ema=official_model()), id="training"),
-        pytest.param(
-            lambda: stripped(official_model(kind="models.yolo.Model", before_v6=True)), id="before v6"
-        ),
-    ],
-)
-def test_every_protocol_of_pickle_gives_the_same_model(make: Callable[[], Any], protocol: int) -> None:
-    found, expected = (read_checkpoint(saved(make(), each)) for each in (protocol, 2))
-    assert_same(found, expected)
-
-
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the compiler, when it is imported
 def test_a_model_that_torch_compiled_is_refused_with_the_remedy() -> None:
     """What torch itself writes; a short list of its names is among the hostile files."""
@@ -179,19 +155,24 @@ def test_a_model_that_torch_compiled_is_refused_with_the_remedy() -> None:
         read_checkpoint(saved({"model": compiled}))
 
 
+def optimizer_state(weights: Sequence[torch.Tensor], *names: str) -> dict[str, Any]:
+    """The state dict of an optimizer with numbers of these names for each weight.
+
+    Written by hand, because an optimizer of torch loads the compiler, which takes seconds and 55 MB.
+    """
+    state = {index: {name: weight.clone() for name in names} for index, weight in enumerate(weights)}
+    return {"state": state, "param_groups": [{"lr": 0.01, "params": list(range(len(weights)))}]}
+
+
 def training_checkpoint(*, ema: Any) -> dict[str, Any]:
     """last.pt, before YOLOv5 strips it: optimizer, options, a fitness of numpy."""
-    parameter = torch.nn.Parameter(torch.ones(3))
-    optimizer = torch.optim.SGD([parameter], lr=0.01, momentum=0.9)
-    parameter.grad = torch.ones(3)
-    optimizer.step()
     return {
         "epoch": 7,
         "best_fitness": np.array([0.5]),
         "model": official_model(seed=1, half=False),
         "ema": ema,
         "updates": 1234,
-        "optimizer": optimizer.state_dict(),
+        "optimizer": optimizer_state([torch.ones(3)], "momentum_buffer"),
         "opt": {"weights": PosixPath("yolov5n.pt"), "fitness": np.float64(0.5), "freeze": [0]},
         "git": {"remote": None, "branch": None, "commit": None},
         "date": datetime.datetime(2024, 1, 2, 3, 4, 5),
@@ -201,27 +182,27 @@ def training_checkpoint(*, ema: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("make_ema", "seed"),
+    ("make_ema", "seed", "protocol"),
     [
-        pytest.param(lambda: official_model(seed=2, half=False), 2, id="averaged"),
-        pytest.param(lambda: (official_model(seed=2, half=False), 1234), 2, id="v4.0: with its updates"),
-        pytest.param(lambda: None, 1, id="none"),
+        pytest.param(lambda: official_model(seed=2, half=False), 2, 2, id="averaged"),
+        pytest.param(lambda: official_model(seed=2, half=False), 2, 3, id="averaged, protocol 3"),
+        pytest.param(lambda: official_model(seed=2, half=False), 2, 5, id="averaged, protocol 5"),
+        pytest.param(lambda: (official_model(seed=2, half=False), 1234), 2, 2, id="v4.0: with its updates"),
+        pytest.param(lambda: None, 1, 4, id="none, protocol 4"),
     ],
 )
-def test_of_a_training_checkpoint_the_averaged_model_is_read(make_ema: Callable[[], Any], seed: int) -> None:
-    model = read_checkpoint(saved(training_checkpoint(ema=make_ema())))
+def test_of_a_training_checkpoint_the_averaged_model_is_read(
+    make_ema: Callable[[], Any], seed: int, protocol: int
+) -> None:
+    model = read_checkpoint(saved(training_checkpoint(ema=make_ema()), protocol))
     assert torch.equal(model.state_dict[FIRST], random_network(seed, SMALL).state_dict()[FIRST])
 
 
 def with_adam() -> dict[str, Any]:
     """The largest checkpoint that a training leaves: all twice, and three numbers for each weight."""
     weights = [parameter.data for parameter in random_network(0, SMALL).parameters()]
-    optimizer = torch.optim.Adam([torch.nn.Parameter(weight) for weight in weights], amsgrad=True)
-    for parameter in optimizer.param_groups[0]["params"]:
-        parameter.grad = torch.ones_like(parameter)
-    optimizer.step()
-    ema = official_model(seed=2, half=True)
-    return training_checkpoint(ema=ema) | {"optimizer": optimizer.state_dict()}
+    adam = optimizer_state(weights, "exp_avg", "exp_avg_sq", "max_exp_avg_sq")
+    return training_checkpoint(ema=official_model(seed=2, half=True)) | {"optimizer": adam}
 
 
 def test_a_training_checkpoint_may_hold_what_its_optimizer_needs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,30 +332,6 @@ def test_scalars_of_numpy_are_numbers_and_texts(protocol: int) -> None:
     found = read_checkpoint(saved(stripped(model), protocol))
     assert found.class_names == CLASS_NAMES
     assert found.architecture.classes == 3
-
-
-def test_another_byte_order_is_refused() -> None:
-    data = saved(stripped(official_model()))
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        crc = archive.getinfo(f"{archive.namelist()[0].partition('/')[0]}/byteorder").CRC
-    other = data.replace(b"little", b"big   ").replace(
-        crc.to_bytes(4, "little"), zlib.crc32(b"big   ").to_bytes(4, "little")
-    )
-    with pytest.raises(WeightsError, match="in the byte order"):
-        read_checkpoint(other)
-
-
-def test_several_threads_may_read_at_once() -> None:
-    data = saved(stripped(official_model()))
-    models: list[Model] = []
-    threads = [
-        threading.Thread(target=lambda: models.append(read_checkpoint(data)), daemon=True) for _ in range(4)
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
-    assert [model.class_names for model in models] == [CLASS_NAMES] * 4
 
 
 def test_the_official_model_is_the_same_to_the_bit_as_safetensors(

@@ -150,6 +150,7 @@ ARCHIVES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "compressed": (lambda: archive(mapping({}), compression=zipfile.ZIP_DEFLATED), "is compressed"),
     "encrypted": (lambda: with_flag(1), "is encrypted"),
     "records with 2 MiB of fields": (with_large_fields, "the names and fields of its records have 2"),
+    "another byte order": (lambda: with_record("archive/byteorder", b"big"), "in the byte order"),
     "byte order of 30 MiB": (lambda: with_record("archive/byteorder", bytes(30 << 20)), "in the byte order"),
     "overlapping records": (lambda: overlapping(1000), "overlap"),
     "25,000 records": (
