@@ -139,7 +139,7 @@ def escaped_objects() -> bytes:
 
 _DEEP = "[" * 100_000
 FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
-    "empty": (lambda: b"", "found 0 bytes"),
+    "a few bytes": (lambda: bytes(7), "found 7 bytes"),
     "header of 16 EiB": (lambda: b"\xff" * 8 + b"{}", "its header does not fit"),
     "header larger than any": (
         lambda: struct.pack("<Q", MAX_HEADER_BYTES + 1) + bytes(MAX_HEADER_BYTES + 1),
@@ -171,6 +171,8 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "another anchor": (number(ANCHORS, 9), "are not those of the architecture"),
     "architecture that is no JSON": (metadata(architecture="{"), "entry architecture is missing or damaged"),
     "architecture of 800,000 objects, escaped": (escaped_objects, "has more than 500000 values"),
+    "architecture that says nothing": (metadata(architecture="{}"), "architecture is damaged"),
+    "architecture that is a list": (metadata(architecture="[]"), "architecture is damaged"),
     "a number of 10,000 digits": (metadata(architecture="9" * 10_000), "entry architecture is missing"),
     "names that are lists": (
         metadata(class_names='["a", [], "c"]'),
@@ -200,6 +202,11 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
         architecture(other_activations=[["model.0.bn", "ReLU"]]),
         "there is no activation at model.0.bn",
     ),
+    "activations of no layers": (
+        architecture(other_activations=[["ReLU"]]),
+        "expected pairs of paths and activations",
+    ),
+    "kernel that is a text": (layer(0, [-1], 1, "Conv", [64, "6", 2]), "the kernel of layer 0"),
     "another kind": (layer(0, [-1], 1, "Focus", [64, 3]), "model.0.conv.conv.weight is missing"),
     "even kernel at stride 1": (layer(0, [-1], 1, "Conv", [64, 6]), "not supported"),
     "even window": (layer(4, [-1], 1, "SPPF", [64, 4]), "has the arguments [64, 4]"),
