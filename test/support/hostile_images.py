@@ -5,6 +5,7 @@ from __future__ import annotations
 from support import jpeg_builder as jpeg
 from support import png_builder as png
 from yolov5_lifecycle.images.compressed import MAX_CHUNKS, MAX_SCANNED_PX, MAX_SCANS, MAX_SEGMENTS
+from yolov5_lifecycle.process.environment import MAX_COMPRESSED_PX
 
 _SMALL, _HUGE = (48, 64), (32760, 32760)
 _HUGE_JPEG = jpeg.image(*_HUGE)
@@ -63,7 +64,8 @@ HOSTILE_JPEGS = {
         jpeg.image(0, 64)[:-2] + jpeg.segment(0xDC, b"\0\x30") + jpeg.EOI,
         "found 0 x 64",
     ),
-    "too many pixels": (jpeg.image(16384, 16384), "this one claims 16384 x 16384"),
+    "too many pixels": (jpeg.image(8193, 8192), f"{MAX_COMPRESSED_PX} pixels, this one claims 8193 x 8192"),
+    "too many rows": (jpeg.image(65535, 1), "found 65535 x 1"),
     "too many scans": (
         jpeg.progressive(*_SMALL, scans=MAX_SCANS + 1),
         f"this one has {MAX_SCANS + 1} of 48 x 64",
@@ -84,7 +86,8 @@ HOSTILE_PNGS = {
         png.SIGNATURE + png.chunk(b"IHDR", png.header(*_SMALL)[8:21] + b"\0") + png.image(*_SMALL)[33:],
         "begins with an IHDR of 13 bytes",
     ),
-    "too many pixels": (png.SIGNATURE + png.header(16384, 16384) + png.image(1, 1)[33:], "16384 x 16384"),
+    "too many pixels": (png.SIGNATURE + png.header(8193, 8192) + png.image(1, 1)[33:], "claims 8193 x 8192"),
+    "no rows": (png.image(0, 1), "found 0 x 1"),
     "too many chunks": (png.image(*_SMALL, before=png.chunk(b"tEXt") * MAX_CHUNKS), "65536 chunks, this one"),
     "a chunk longer than the file": (
         png.image(*_SMALL)[:33] + b"\xff\xff\xff\xff" + png.image(*_SMALL)[37:],
