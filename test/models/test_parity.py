@@ -18,7 +18,7 @@ from yolov5_lifecycle.checkpoints.onnx_file import read_onnx
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.letterbox import Letterbox
-from yolov5_lifecycle.detection.nms import Selection, select
+from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.models.model import Export, Model
@@ -61,10 +61,9 @@ def case(request: pytest.FixtureRequest, golden: Any) -> Any:
     return golden["cases"][CASE_NAMES.index(request.param)]
 
 
-def letterbox_of(case: Any, bus: ColourImage) -> Letterbox:
-    settings = case["settings"]
-    stride = 32 if settings["auto"] else settings["imgsz"]  # the only multiple up to itself makes a square
-    return Letterbox.fit(bus.size_hw, image_size=settings["imgsz"], stride=stride)
+def stride_of(case: Any) -> int:
+    """That of the model, or the only one whose multiples up to the size of the image make a square."""
+    return 32 if case["settings"]["auto"] else int(case["settings"]["imgsz"])
 
 
 def selection_of(case: Any) -> Selection:
@@ -90,27 +89,18 @@ def test_class_names_are_the_official_ones(model: Model, golden: Any) -> None:
 
 
 def test_the_letterboxed_image_is_the_same(case: Any, bus: ColourImage) -> None:
-    frame = letterbox_of(case, bus).apply(bus.pixels)
+    image_size = case["settings"]["imgsz"]
+    frame = Letterbox.fit(bus.size_hw, image_size=image_size, stride=stride_of(case)).apply(bus.pixels)
     assert [1, 3, *frame.shape[:2]] == case["network_input_shape"]
     assert frame.sum(dtype=np.int64) == case["letterbox_uint8_sum"]
 
 
-def test_detections_in_source_pixels_are_the_same(case: Any, bus: ColourImage, runtime: Runtime) -> None:
-    letterbox = letterbox_of(case, bus)
-    found = select(runtime(letterbox.apply(bus.pixels), bus.channel_order).rows, selection_of(case))
-    in_source = Detections(letterbox.undo(found.boxes_xyxy), found.scores, found.class_ids)
-    # YOLOv5 pads by whole pixels but maps back with half ones; we map back what was padded.
-    assert_same(
-        in_source, case["detections_source_px"], atol_px=0.6 * max(bus.size_hw) / case["settings"]["imgsz"]
-    )
-
-
-@pytest.mark.parametrize("case", [name for name in CASE_NAMES if name != "square frame"], indirect=True)
-def test_the_detector_puts_the_same_steps_together(
+def test_detections_in_source_pixels_are_the_same(
     case: Any, bus: ColourImage, model: Model, runtime: Runtime
 ) -> None:
+    """YOLOv5 pads by whole pixels but maps back with half ones; we map back what was padded."""
     image_size = case["settings"]["imgsz"]
-    detector = Detector(runtime, class_names=model.class_names, image_size=image_size, stride=32)
+    detector = Detector(runtime, class_names=model.class_names, image_size=image_size, stride=stride_of(case))
     for image in (bus, ColourImage(np.ascontiguousarray(bus.pixels[..., ::-1]), "rgb")):
         found = detector.detect(image, selection_of(case))
         assert_same(found, case["detections_source_px"], atol_px=0.6 * max(bus.size_hw) / image_size)

@@ -33,6 +33,7 @@ from yolov5_lifecycle.checkpoints.pickled_model import model_root
 from yolov5_lifecycle.checkpoints.pickled_objects import modules_of
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
+from yolov5_lifecycle.models.architecture import SIZES
 from yolov5_lifecycle.models.network import Network, fuse
 from yolov5_lifecycle.runtimes.compiled_runtime import DetectionHead, Threads
 from yolov5_lifecycle.runtimes.networks_by_shape import denormals_as_zero
@@ -80,20 +81,13 @@ def test_a_file_predicts_what_the_official_network_predicts_fused_or_not_and_con
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("size", EVERY_SIZE)
+@pytest.mark.parametrize("name", [*SIZES, *EVERY_FAMILY])
 @pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
-def test_a_compiled_size_predicts_what_the_official_one_predicts(runtime_name: str, size: str) -> None:
-    expected = expected_predictions(size)
+def test_a_compiled_network_predicts_what_the_official_one_predicts(runtime_name: str, name: str) -> None:
+    expected = expected_predictions(name) if name in SIZES else expected_family(name)
+    network = formula_model(name).network() if name in SIZES else family_network(name)
     pixels = formula_pixels(expected.input_shape).numpy()
-    expected.check(compiled_predictions(formula_model(size).network(), runtime_name, pixels))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", EVERY_FAMILY)
-@pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
-def test_a_compiled_family_predicts_what_the_official_one_predicts(runtime_name: str, name: str) -> None:
-    predicted = compiled_predictions(family_network(name), runtime_name, family_pixels(name).numpy())
-    expected_family(name).check(predicted)
+    expected.check(compiled_predictions(network, runtime_name, pixels))
 
 
 def compiled_predictions(
