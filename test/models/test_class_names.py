@@ -48,23 +48,14 @@ def test_a_name_is_text_that_is_safe_to_show(name: object, text: str) -> None:
 @pytest.mark.parametrize(
     ("names", "expected"),
     [
-        pytest.param(["item", "item"], ("item", "item"), id="equal in the file"),
-        pytest.param([1, "1"], ("1", "1"), id="number and text"),
-    ],
-)
-def test_equal_names_stay_equal(names: list[object], expected: tuple[str, ...]) -> None:
-    assert class_names_of(names, len(names), len(names)) == expected
-
-
-@pytest.mark.parametrize(
-    ("names", "expected"),
-    [
         pytest.param({2: "cow", 0: "cat"}, ("cat", "class 1", "cow"), id="gap"),
         pytest.param({"0": "cat", "2": "cow", "1": "dog"}, ("cat", "dog", "cow"), id="texts"),
         pytest.param({0: "cat", "1": "dog", "02": "cow"}, ("cat", "dog", "cow"), id="both"),
+        pytest.param(["item", "item", 1], ("item", "item", "1"), id="equal in a list"),
+        pytest.param([1, "1", "cow"], ("1", "1", "cow"), id="number and text in a list"),
     ],
 )
-def test_names_by_index_keep_their_index(names: dict[object, object], expected: tuple[str, ...]) -> None:
+def test_names_keep_their_index(names: object, expected: tuple[str, ...]) -> None:
     assert class_names_of(names, 3, 3) == expected
 
 

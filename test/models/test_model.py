@@ -6,8 +6,6 @@ import dataclasses
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from support.checkpoint_builder import SMALL
 from support.random_model import CLASS_NAMES, random_network
 
@@ -85,21 +83,6 @@ def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:
 def test_anything_but_an_integer_in_range_is_refused(value: object) -> None:
     with pytest.raises(WeightsError, match="the size: expected an integer from 1 to 8, found"):
         checked_integer(value, "the size", 1, 8)
-
-
-JSON_LIKE = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text() | st.binary(),
-    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner) | st.tuples(inner, inner),
-)
-
-
-@pytest.mark.long
-@given(value=JSON_LIKE)
-def test_anything_is_shown_in_one_short_line(value: object) -> None:
-    text = shown(value)
-    assert text
-    assert text.isprintable()
-    assert len(text) <= 640
 
 
 def test_a_value_that_doubles_with_each_level_is_shown_at_once() -> None:
