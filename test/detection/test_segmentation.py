@@ -69,12 +69,6 @@ def test_each_detection_has_the_mask_of_its_own_coefficients() -> None:
     np.testing.assert_array_equal(labels, expected)
 
 
-def test_the_coefficients_are_no_classes() -> None:
-    detector, _ = detector_of(row(LEFT, 0.5, 1, 100, 100))
-    found = detector.detect(IMAGE, Selection())
-    assert (found.class_ids.tolist(), found.scores.tolist()) == ([1], [0.5])
-
-
 @pytest.mark.parametrize(
     ("scores", "selection", "computed"),
     [

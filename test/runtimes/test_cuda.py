@@ -30,12 +30,6 @@ def on_cuda(seed: int, precision: str = "fp32") -> TorchRuntime:
     return TorchRuntime.load(random_model(seed), device="cuda", precision=precision)
 
 
-def test_predictions_depend_on_the_image_by_more_than_what_a_gpu_may_deviate() -> None:
-    frame = random_frame()
-    for other in (frame[..., ::-1].copy(), np.zeros_like(frame)):
-        assert np.abs(on_cpu(2, frame)[:, 4:] - on_cpu(2, other)[:, 4:]).max() > 5e-3
-
-
 @needs_cuda
 @pytest.mark.parametrize(("precision", "scores", "boxes_px"), [("fp32", 2e-3, 0.1), ("fp16", 2e-2, 1.0)])
 def test_cuda_predicts_what_the_cpu_predicts(precision: str, scores: float, boxes_px: float) -> None:

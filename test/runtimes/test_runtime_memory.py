@@ -14,6 +14,7 @@ from support.checkpoint_builder import SMALL
 from support.colcon_workspace import SUPPORT_PATH
 from support.random_model import random_model
 from support.runtime_names import COMPILED_RUNTIMES, EVERY_RUNTIME
+from support.started import printed_by
 
 from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
 from yolov5_lifecycle.models.architecture import Architecture, Layer
@@ -73,7 +74,9 @@ def test_a_runtime_needs_the_memory_that_was_computed_before(runtime: str, tmp_p
     assert 0.8 < float(measured.stdout) / computed_mb < MAX_RATIO
 
 
-def test_products_of_matrices_start_no_threads_that_would_compete_with_the_network() -> None:
+def test_products_of_matrices_start_no_threads_that_would_compete_with_the_network(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     program = (
         "import os\n"
         "from yolov5_lifecycle.process.environment import prepare_environment\n"
@@ -82,11 +85,8 @@ def test_products_of_matrices_start_no_threads_that_would_compete_with_the_netwo
         "np.ones((512, 512), np.float32) @ np.ones((512, 512), np.float32)\n"
         "print(len(os.listdir('/proc/self/task')))"
     )
-    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
-    threads = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
-    assert threads.stdout == "1\n"
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert printed_by(program) == "1\n"
 
 
 IMPORT = """

@@ -96,10 +96,6 @@ def test_a_low_score_begins_no_track(camera: Camera, score: float) -> None:
     assert len(camera.tracker) == 0
 
 
-def test_a_score_below_the_low_threshold_continues_no_track(following: Camera) -> None:
-    assert following.sees(one(100, 0.05)) == ("",)
-
-
 def test_a_high_score_is_matched_before_a_low_one_that_fits_better(following: Camera) -> None:
     assert following.sees(found((110.0, 100.0, HIGH, CLASS), (100.0, 100.0, LOW, CLASS))) == ("1", "")
 
@@ -163,17 +159,6 @@ def test_late_images_and_jumps_back_are_counted(following: Camera) -> None:
         following.sees(one(100), step_s)
     assert (following.counts.late, following.counts.jumps) == (3, 2)
     assert following.counts.last_jump_s == pytest.approx(2.1)
-
-
-def test_a_reset_forgets_tracks_and_uses_no_id_again(following: Camera) -> None:
-    following.tracker.reset()
-    following.tracker.reset()
-    assert [following.sees(one(100)) for _ in range(2)] == [("",), ("2",)]
-
-
-def test_an_image_that_comes_twice_keeps_its_ids(following: Camera) -> None:
-    assert following.sees(one(100), 0) == ("1",)
-    assert following.sees(one(100)) == ("1",)
 
 
 def test_a_camera_without_stamps_is_tracked_and_forgets(camera: Camera) -> None:

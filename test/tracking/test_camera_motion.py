@@ -53,7 +53,8 @@ def test_the_motion_of_the_camera_is_found(matrix: Similarity) -> None:
 
 
 def test_a_camera_that_stands_still_moves_nothing() -> None:
-    noise = np.random.default_rng(4).normal(0, 2, (4, *SIZE_HW, 3))
+    rng = np.random.default_rng(4)
+    noise = (rng.normal(0, 2, BACKGROUND.shape) for _ in range(4))
     noisy = [ColourImage(np.clip(BACKGROUND + each, 0, 255).astype(np.uint8), "rgb") for each in noise]
     assert found(*noisy) == [None] * 3
 
