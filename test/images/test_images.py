@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +14,6 @@ from yolov5_lifecycle.images.compressed import compressed_image, encode_jpeg
 from yolov5_lifecycle.images.encodings import GreyImage, decode_raw, raw_image
 from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError, bytes_of
 from yolov5_lifecycle.spatial.depth_image import depth_image_of_message, intrinsics_of_message
-
-BYTES = bytes(range(12))
 
 
 @pytest.mark.parametrize(
@@ -32,18 +29,6 @@ BYTES = bytes(range(12))
 def test_an_image_of_other_pixels_is_refused(pixels: NDArray[Any]) -> None:
     with pytest.raises(ImageError, match="found"):
         ColourImage(pixels, "rgb")
-
-
-@pytest.mark.parametrize(
-    "buffer",
-    [
-        pytest.param(bytes, id="bytes"),
-        pytest.param(lambda data: array("B", data), id="array of bytes"),
-        pytest.param(lambda data: array("H", data), id="array of words"),
-    ],
-)
-def test_any_contiguous_buffer_is_viewed(buffer: Callable[[bytes], object]) -> None:
-    assert bytes_of(buffer(BYTES)).tobytes() == BYTES
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,10 @@ def test_a_low_score_begins_no_track(camera: Camera, score: float) -> None:
     assert len(camera.tracker) == 0
 
 
+def test_a_score_below_the_low_threshold_continues_no_track(following: Camera) -> None:
+    assert following.sees(one(100, 0.05)) == ("",)
+
+
 def test_a_high_score_is_matched_before_a_low_one_that_fits_better(following: Camera) -> None:
     assert following.sees(found((110.0, 100.0, HIGH, CLASS), (100.0, 100.0, LOW, CLASS))) == ("1", "")
 

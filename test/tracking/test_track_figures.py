@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from benchmark.tracking.cases import Case, counts_of, own_ids, simulated_cases
 from benchmark.tracking.figures import JudgedFrame, TrackCounts, track_counts
@@ -16,21 +17,17 @@ Places = Mapping[Any, float]
 """Identity -> x of a box of 10 x 10 pixels."""
 
 
-def frame(truth: Places, tracks: Places) -> JudgedFrame:
-    return JudgedFrame(
-        list(truth),
-        boxes(truth.values()),
-        [str(name) for name in tracks],
-        boxes(tracks.values()),
-    )
-
-
-def boxes(places: Iterable[float]) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    return np.array([(x, 0, x + 10, 10) for x in places], np.float32).reshape(-1, 4)
+def boxes(places: Places) -> NDArray[np.float32]:
+    return np.array([(x, 0, x + 10, 10) for x in places.values()], np.float32).reshape(-1, 4)
 
 
 def counts(*frames: tuple[Places, Places]) -> TrackCounts:
-    return track_counts([frame(truth, tracks) for truth, tracks in frames])
+    return track_counts(
+        [
+            JudgedFrame(list(truth), boxes(truth), list(map(str, tracks)), boxes(tracks))
+            for truth, tracks in frames
+        ]
+    )
 
 
 ONE = {1: 0.0}
