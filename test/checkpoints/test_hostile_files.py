@@ -19,6 +19,8 @@ from support.random_model import random_model
 from support.small_families import COSTLY
 from support.wrong_models import MODELS
 
+from yolov5_lifecycle.process.memory import release_unused_memory
+
 MAX_CPU_S = 20
 MAX_GROWN_MB = 100
 """The memory of a process may grow by this much while it reads a file; some ask for 16 TB."""
@@ -59,6 +61,7 @@ def cases(folder: Path) -> Mapping[str, tuple[str, str]]:
             file = folder / f"{index:03}{suffix}"
             file.write_bytes(data)
             written[str(file)] = name, told
+    release_unused_memory()  # of the largest files
     return written
 
 

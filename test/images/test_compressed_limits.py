@@ -47,19 +47,6 @@ HOSTILE_FILES = {
 }
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        pytest.param(b"", id="nothing"),
-        pytest.param(b"\x89PNG\r\n\x1a\n", id="png without header"),
-        pytest.param(b"GIF89a" + bytes(100), id="gif"),
-    ],
-)
-def test_what_is_no_jpeg_or_png_is_refused(data: bytes) -> None:
-    with pytest.raises(ImageError, match=f"found {len(data)} bytes"):
-        decode_compressed(data)
-
-
 def test_a_jpeg_at_every_limit_is_decoded() -> None:
     assert decode_compressed(jpeg.progressive(48, 64, scans=MAX_SCANS)).size_hw == (48, 64)
     most_scanned = np.frombuffer(jpeg.progressive(4096, 4096, MAX_SCANNED_PX >> 24), np.uint8)

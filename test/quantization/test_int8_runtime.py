@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import onnx
 import pytest
@@ -54,16 +55,15 @@ def copied(tmp_path: Path) -> Path:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("image_size", "kind"),
+    ("image_size", "images"),
     [
-        pytest.param(320, "stills", id="stills at 320"),
-        pytest.param(640, "moving", id="moving at 640", marks=pytest.mark.long),
+        pytest.param(320, lambda: stills(UNSEEN_SEED, 60, (256, 320)), id="stills at 320"),
+        pytest.param(640, lambda: moving(UNSEEN_SEED, 200, (480, 640)), id="moving at 640"),
     ],
 )
 def test_shapes_are_found_in_int8_as_well_as_in_fp32(
-    image_size: int, kind: str, weights: WeightsFile, calibration: Calibration
+    image_size: int, images: Callable[[], Any], weights: WeightsFile, calibration: Calibration
 ) -> None:
-    count, size_hw = (60, (256, 320)) if kind == "stills" else (200, (480, 640))
     figures = {}
     for precision in ("fp32", "int8"):
         detector = load_detector(
@@ -75,8 +75,7 @@ def test_shapes_are_found_in_int8_as_well_as_in_fp32(
             quantization=calibration,
         )
         assert detector.runtime.precision == precision
-        images = (stills if kind == "stills" else moving)(UNSEEN_SEED, count, size_hw)
-        figures[precision] = evaluate(detector, images)
+        figures[precision] = evaluate(detector, images())
         detector.close()
     assert figures["int8"].precision >= figures["fp32"].precision - 0.01
     assert figures["int8"].recall >= figures["fp32"].recall - 0.01

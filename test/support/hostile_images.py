@@ -87,6 +87,7 @@ HOSTILE_PNGS = {
         "begins with an IHDR of 13 bytes",
     ),
     "too many pixels": (png.SIGNATURE + png.header(8193, 8192) + png.image(1, 1)[33:], "claims 8193 x 8192"),
+    "no chunk": (png.SIGNATURE, "found 8 bytes that end within a chunk"),
     "no rows": (png.image(0, 1), "found 0 x 1"),
     "too many chunks": (png.image(*_SMALL, before=png.chunk(b"tEXt") * MAX_CHUNKS), "65536 chunks, this one"),
     "a chunk longer than the file": (
