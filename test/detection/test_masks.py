@@ -106,11 +106,6 @@ def test_labels_number_the_detections_and_the_better_one_covers_the_others() -> 
     np.testing.assert_array_equal(labels, expected)
 
 
-def test_without_detections_all_is_background() -> None:
-    masks = Masks(np.zeros((4, 1, 1), np.float32), np.zeros((0, 4), np.float32), (20, 30))
-    np.testing.assert_array_equal(masks.label_image(np.zeros((0, 4), np.float32)), np.zeros((20, 30)))
-
-
 @pytest.mark.parametrize(
     "box_xyxy",
     [(5, 5, 5, 9), (5.2, 5.2, 5.8, 5.8), (30, 20, 30, 20), (0, 0, 0, 0)],

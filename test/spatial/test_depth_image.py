@@ -83,6 +83,13 @@ def test_what_is_no_measurement_is_nan(value: float) -> None:
     np.testing.assert_array_equal(all_metres(depth), [[np.nan, 1.5]])
 
 
+@given(data=st.binary(min_size=24, max_size=24), is_bigendian=st.booleans())
+def test_any_bytes_are_metres_in_range_or_nan(data: bytes, is_bigendian: bool) -> None:
+    metres = all_metres(decoded(data, encoding="32FC1", step=12, is_bigendian=is_bigendian))
+    valid = metres[~np.isnan(metres)]
+    assert ((valid >= MIN_DEPTH_M * 0.999) & (valid <= MAX_DEPTH_M)).all()
+
+
 def test_outside_the_image_there_is_no_measurement() -> None:
     rows, columns = np.array([(-1, 0), (2, 0), (0, -1), (0, 3), (-(10**12), 10**12)]).T
     assert np.isnan(decoded(b"\x01\x01" * 6).metres_at(rows, columns)).all()
