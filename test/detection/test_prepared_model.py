@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 from support.random_model import random_model
+from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
+from yolov5_lifecycle.detection import prepared_model
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.models import cost as models_cost
 from yolov5_lifecycle.models.cost import cost_of
@@ -48,6 +50,17 @@ def test_the_cost_is_told(tiny: Settings) -> None:
     cost = cost_of(random_model().architecture, (64, 64))
     assert model.facts["cost"] == str(cost)
     assert model.facts["cost"].endswith(" MB at 64x64")
+
+
+def test_a_model_that_would_take_the_memory_is_refused_before_a_runtime_is_chosen_or_loaded(
+    tiny: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its file nothing is wrong: only for large images attention needs too much."""
+    write_safetensors(random_model(0, SMALL_FAMILIES["transformer"]), Path(tiny.weights))
+    for name in ("choose_runtime", "load_runtime"):
+        monkeypatch.delattr(prepared_model, name)
+    with pytest.raises(ValueError, match=r"^Image size 640: layer 2 \(C3TR\) would keep 21\.0 GB .* at most"):
+        prepare_model(tiny.model_copy(update={"image_size": 640, "runtime": "auto"}), [(480, 640)])
 
 
 def test_a_model_for_which_the_memory_does_not_suffice_is_refused(
