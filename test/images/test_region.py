@@ -35,6 +35,7 @@ def test_points_are_read_in_order(text: str, points_xy: tuple[PointXY, ...]) -> 
         pytest.param("0,0 0.3,0 0.7,0 1,0 1,1", id="points-on-a-line"),
         pytest.param("0,0 0.1,0.1 0.3,0 0.3,0.3 0.4,0 0.4,1", id="lines-on-one-line-that-are-apart"),
         pytest.param("0,0 0.7,0 0.7,0.1 0.1,0.1 0.1,0.2 0.7,0.2 0.7,0.3 0,0.3", id="a-fork"),
+        pytest.param("0,0 1,1 0.5,1 0.5,0.8 0.4,0.8 0.4,1 0,1", id="a-notch-opposite-a-diagonal"),
     ],
 )
 def test_a_polygon_of_any_shape_has_the_points_that_it_has_for_opencv(text: str) -> None:
@@ -64,6 +65,7 @@ def test_a_polygon_of_any_shape_has_the_points_that_it_has_for_opencv(text: str)
         pytest.param("0,0 0.1,0.1 0.7,0.7", "has no area: its points lie on one line", id="on-one-line"),
         pytest.param("0,0 1,1 1,0 0,1", "cross or touch, from point to point: 1-2 and 3-4", id="bow-tie"),
         pytest.param("0,0 1,0 1,1 0.5,0 0,1", "1-2 and 3-4", id="touching"),
+        pytest.param("0,1 1,1 1,0 0.5,1 0,0", "1-2 and 3-4", id="touching-from-below"),
         pytest.param("0,0 1,0 0.5,0 0.5,1", "1-2 and 2-3", id="turning-back"),
         pytest.param("0,0 0.5,0 0.5,1 1,0", "1-2 and 4-1", id="turning-back-at-the-end"),
     ],

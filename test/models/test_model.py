@@ -83,8 +83,24 @@ def test_anything_but_an_integer_in_range_is_refused(value: object) -> None:
         checked_integer(value, "the size", 1, 8)
 
 
-def test_a_value_that_doubles_with_each_level_is_shown_at_once() -> None:
+def doubled(levels: int) -> object:
     value: object = "ha"
-    for _ in range(200):
+    for _ in range(levels):
         value = (value, value)
-    assert shown(value) == "[a tuple, a tuple]"
+    return value
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        pytest.param(doubled(200), "[a tuple, a tuple]", id="doubles with each level"),
+        pytest.param([*range(9)], "[0, 1, 2, 3, 4, 5, 6, 7, ...]", id="long list"),
+        pytest.param("a" * 200, f"'{'a' * 59}...", id="long text"),
+        pytest.param(10**200, f"1{'0' * 59}...", id="long number"),
+        pytest.param("\x1b\n\ud800", r"'\x1b\n\ud800'", id="control characters"),
+        pytest.param(type("T" * 200, (), {})(), f"a {'T' * 60}", id="long class"),
+        pytest.param(b"bytes", "a bytes", id="bytes"),
+    ],
+)
+def test_any_value_is_shown_in_one_short_line(value: object, text: str) -> None:
+    assert shown(value) == text
