@@ -33,7 +33,7 @@ def one(*box_xyxy: float, class_id: int = 0, score: float = 0.5) -> Detections:
     return Detections(boxes_xyxy, np.array([score], np.float32), np.array([class_id]))
 
 
-def plain(level: int, height: int, width: int, channel_order: ChannelOrder = "rgb") -> ColourImage:
+def grey_image(level: int, height: int, width: int, channel_order: ChannelOrder = "rgb") -> ColourImage:
     return ColourImage(np.full((height, width, 3), level, np.uint8), channel_order)
 
 
@@ -54,7 +54,7 @@ def test_an_image_without_detections_and_regions_is_copied(box_filter: BoxFilter
 
 def test_the_box_is_drawn_where_it_is() -> None:
     colour = class_colour(2, "rgb")
-    drawn = annotate(plain(0, 240, 320), one(50, 100, 200, 180, class_id=2), NAMES)
+    drawn = annotate(grey_image(0, 240, 320), one(50, 100, 200, 180, class_id=2), NAMES)
     for x, y in [(50, 140), (200, 140), (120, 180), (50, 100), (200, 180)]:
         assert tuple(drawn[y, x]) == colour, (x, y)
     assert not drawn[120:160, 70:190].any()
@@ -72,8 +72,8 @@ def test_the_box_is_drawn_where_it_is() -> None:
     ],
 )
 def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ...]) -> None:
-    in_the_middle = annotate(plain(0, 300, 400), one(150, 150, 200, 200, class_id=1), NAMES)
-    drawn = annotate(plain(0, 300, 400), one(*box_xyxy, class_id=1), NAMES)
+    in_the_middle = annotate(grey_image(0, 300, 400), one(150, 150, 200, 200, class_id=1), NAMES)
+    drawn = annotate(grey_image(0, 300, 400), one(*box_xyxy, class_id=1), NAMES)
     assert ink_of_class_1(in_the_middle) > 100
     assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle)
 
@@ -81,7 +81,9 @@ def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ..
 def test_the_id_of_a_track_stands_in_the_label() -> None:
     plain, unconfirmed, tracked = (
         ink_of_class_1(
-            annotate(plain(0, 300, 400), replace(one(150, 150, 200, 200, class_id=1), track_ids=ids), NAMES)
+            annotate(
+                grey_image(0, 300, 400), replace(one(150, 150, 200, 200, class_id=1), track_ids=ids), NAMES
+            )
         )
         for ids in ((), ("",), ("27",))
     )
@@ -103,7 +105,7 @@ def test_any_box_and_name_can_be_drawn_in_any_image(
     boxes_xyxy = (np.sort(relative, axis=1) * np.array((width, height), np.float32)).reshape(-1, 4)
     count = len(boxes_xyxy)
     detections = Detections(boxes_xyxy, np.full(count, 0.5, np.float32), np.zeros(count, np.int64))
-    drawn = annotate(plain(0, height, width, channel_order), detections, [name])
+    drawn = annotate(grey_image(0, height, width, channel_order), detections, [name])
     assert drawn.shape == (height, width, 3)
     assert drawn.any() == bool(count)
 
@@ -153,7 +155,7 @@ def test_masks_of_detections_are_drawn_also_where_nobody_has_computed_their_labe
 def test_there_may_be_more_detections_than_a_byte_can_number() -> None:
     detections, _ = masked(1000)
     label_image = np.repeat(np.arange(LARGE, dtype=np.uint16)[:, None], LARGE, axis=1)
-    drawn = annotate(plain(0, LARGE, LARGE), detections, ["?"] * 1001, label_image=label_image)
+    drawn = annotate(grey_image(0, LARGE, LARGE), detections, ["?"] * 1001, label_image=label_image)
     for row in (1, 255, 256, 257, 300):
         np.testing.assert_allclose(drawn[row, 5], np.array(class_colour(row, "rgb")) / 2, atol=1)
 
@@ -176,7 +178,7 @@ def test_of_very_many_boxes_the_best_are_drawn() -> None:
     rows = np.arange(MAX_DRAWN + 1, dtype=np.float32)
     boxes_xyxy = np.stack((rows * 2, rows * 0 + 9, rows * 2 + 1, rows * 0 + 10), axis=1)
     scores, class_ids = np.full(len(rows), 0.5, np.float32), np.zeros(len(rows), np.int64)
-    drawn = annotate(plain(0, 11, 2 * len(rows)), Detections(boxes_xyxy, scores, class_ids), ["?"])
+    drawn = annotate(grey_image(0, 11, 2 * len(rows)), Detections(boxes_xyxy, scores, class_ids), ["?"])
     assert drawn[10].any(axis=-1).reshape(-1, 2).any(axis=1).tolist() == [True] * MAX_DRAWN + [False]
 
 
@@ -223,7 +225,7 @@ def drawn(image: ColourImage, box_filter: BoxFilter) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("level", [0, 114, 255])
 def test_the_outline_of_a_region_is_visible_on_any_ground_and_faint(level: int) -> None:
-    pixels = drawn(plain(level, SIDE, SIDE), BoxFilter(regions=(MIDDLE,))).astype(int)
+    pixels = drawn(grey_image(level, SIDE, SIDE), BoxFilter(regions=(MIDDLE,))).astype(int)
     rows, columns = np.nonzero((pixels != level).any(axis=2))
     assert (rows.min(), columns.min()) == pytest.approx((SIDE / 4, SIDE / 4), abs=3)
     assert (rows.max(), columns.max()) == pytest.approx((SIDE * 3 / 4, SIDE * 3 / 4), abs=3)
@@ -234,7 +236,7 @@ def test_the_outline_of_a_region_is_visible_on_any_ground_and_faint(level: int) 
 
 def test_ignored_regions_are_dark_also_where_they_overlap() -> None:
     other = Region.parse("0.4,0.4 0.9,0.4 0.9,0.6 0.4,0.6")
-    pixels = drawn(plain(200, SIDE, SIDE), BoxFilter(ignore_regions=(MIDDLE, other))).astype(int)
+    pixels = drawn(grey_image(200, SIDE, SIDE), BoxFilter(ignore_regions=(MIDDLE, other))).astype(int)
     darkened = 200 * (1 - REGION_OPACITY)
     assert np.median(pixels[SIDE // 3 : 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]) == darkened
     assert (pixels[SIDE // 2, [SIDE // 2, SIDE * 7 // 8]] == darkened).all()
@@ -243,7 +245,7 @@ def test_ignored_regions_are_dark_also_where_they_overlap() -> None:
 
 @pytest.mark.parametrize("size_hw", [(1, 1), (2, 300), (300, 2), (1080, 1920)], ids=str)
 def test_a_region_of_the_whole_image_fits_any_image(size_hw: tuple[int, int]) -> None:
-    image = plain(114, *size_hw)
+    image = grey_image(114, *size_hw)
     both = BoxFilter(regions=(WHOLE,), ignore_regions=(MIDDLE,))
     pixels = drawn(image, both)
     assert pixels.shape == (*size_hw, 3)

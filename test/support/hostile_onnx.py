@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, helper, load_from_string, numpy_helper
 
-from support.onnx_exports import model_of, serialized, small_export
+from support.onnx_exports import serialized, small_export
 
 _WEIGHT = "logits.weight"
 _PREFIX = b"\x08\x08"
@@ -33,13 +33,13 @@ def glued(graph: bytes) -> bytes:
 
 @functools.cache
 def _weights() -> bytes:
-    arrays = model_of(small_export()).graph.initializer
+    arrays = load_from_string(small_export()).graph.initializer
     return b"".join(field(5, array.SerializeToString()) for array in arrays)
 
 
 @functools.cache
 def _rest() -> bytes:
-    model = model_of(small_export())
+    model = load_from_string(small_export())
     model.ClearField("graph")
     model.ClearField("ir_version")
     return serialized(model)
@@ -47,7 +47,7 @@ def _rest() -> bytes:
 
 def graph_without_weights() -> bytes:
     """The graph of a valid file without arrays: what `glued` takes."""
-    model = model_of(small_export())
+    model = load_from_string(small_export())
     del model.graph.initializer[:]
     fields: bytes = model.graph.SerializeToString()
     return fields
@@ -65,7 +65,7 @@ def changed(change: Callable[[Any], object], **options: Any) -> Callable[[], byt
     """A valid file after `change` of its model; `options` are those of `small_export`."""
 
     def make() -> bytes:
-        model = model_of(small_export(**options))
+        model = load_from_string(small_export(**options))
         change(model)
         return serialized(model)
 

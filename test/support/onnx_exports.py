@@ -193,11 +193,6 @@ def small_export(
     return serialized(model)
 
 
-def model_of(data: bytes) -> onnx.ModelProto:
-    """The model in a file, to be changed."""
-    return onnx.load_from_string(data)
-
-
 def serialized(model: onnx.ModelProto) -> bytes:
     data: bytes = model.SerializeToString()
     return data
