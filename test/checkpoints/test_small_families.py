@@ -107,7 +107,7 @@ def distributed_parallel(module: Any) -> Any:
     To make such an object itself loads the compiler of torch, which takes seconds and 86 MB.
     """
     kind = nn.parallel.DistributedDataParallel
-    made = copyreg.__newobj__, (kind,), {"_modules": {"module": module}}
+    made = copyreg.__newobj__, (kind,), {"_modules": {"module": module}}  # type: ignore[attr-defined]
     return type("Wrapper", (), {"__class__": kind, "__reduce__": lambda _: made})()
 
 
