@@ -155,3 +155,12 @@ def test_a_node_refuses_weights_from_outside_in_every_state(root: Path) -> None:
         served.wait_for_log("activate refused: ")
         assert not served.set(weights_dirs=["/"])[0]
         assert served.get("weights_dirs") == [f"{root}/inside"]
+
+
+@pytest.mark.usefixtures("ros_domain")
+def test_invalid_folders_fail_configure_until_the_process_is_restarted() -> None:
+    with ServedNode(prepare_model, parameters=["weights_dirs:=inside"]) as served:
+        for others in (["/"], []):
+            assert not served.set(weights_dirs=others)[0]
+        assert not served.transition("configure")
+        assert "weights_dirs: 'inside' is not a list" in served.status().message

@@ -95,6 +95,12 @@ def test_a_detection_that_is_not_published_continues_its_track() -> None:
     ]
 
 
+@pytest.mark.parametrize("threshold", [0.05, 0.25])
+def test_the_network_is_asked_for_the_lower_of_the_two_thresholds(threshold: float) -> None:
+    found = found_in([predicted([(32, 32, 20, 20, 0.08, 0)])] * 2, Selection(confidence_threshold=threshold))
+    assert [len(each) for each in found] == [int(threshold < 0.08)] * 2
+
+
 def jumping(count: int = 8) -> tuple[list[ColourImage], list[NDArray[np.float32]]]:
     """Images of 10 Hz from a camera that jumps from side to side, and the object in them."""
     world = cluttered_background(np.random.default_rng(3), (240, 480))
