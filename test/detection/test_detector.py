@@ -133,6 +133,13 @@ def test_boxes_lie_in_the_image_whatever_its_size(detector: Detector, height: in
     assert (found.class_ids < len(CLASS_NAMES)).all()
 
 
+@pytest.mark.parametrize("size_hw", [(1, 1), (1, 16384), (16384, 1)], ids=str)
+def test_extreme_sizes_are_detected_in(detector: Detector, size_hw: tuple[int, int]) -> None:
+    found = detector.detect(random_image(*size_hw), EVERYTHING)
+    assert np.isfinite(found.boxes_xyxy).all()
+    assert len(found) <= EVERYTHING.max_detections
+
+
 def test_the_answer_depends_on_the_image_alone(detector: Detector) -> None:
     image = random_image(100, 80)
     first = detector.detect(image, EVERYTHING)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import gc
+import os
 from pathlib import Path
 
 import pytest
 from support.random_model import random_model
+from support.runtime_names import EVERY_RUNTIME
 from support.small_families import SMALL_FAMILIES
 
+from benchmark.process_memory import forget_peak, peak_resident_mb, resident_mb
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
-from yolov5_lifecycle.detection import prepared_model
 from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.models import cost as models_cost
 from yolov5_lifecycle.models.cost import cost_of
@@ -52,15 +54,21 @@ def test_the_cost_is_told(tiny: Settings) -> None:
     assert model.facts["cost"].endswith(" MB at 64x64")
 
 
-def test_a_model_that_would_take_the_memory_is_refused_before_a_runtime_is_chosen_or_loaded(
-    tiny: Settings, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.long
+@pytest.mark.parametrize("runtime_name", ["auto", *EVERY_RUNTIME])
+def test_a_model_that_would_take_the_memory_is_refused_without_taking_it(
+    runtime_name: str, tmp_path: Path
 ) -> None:
     """Of its file nothing is wrong: only for large images attention needs too much."""
-    write_safetensors(random_model(0, SMALL_FAMILIES["transformer"]), Path(tiny.weights))
-    for name in ("choose_runtime", "load_runtime"):
-        monkeypatch.delattr(prepared_model, name)
+    path = tmp_path / "transformer.safetensors"
+    write_safetensors(random_model(0, SMALL_FAMILIES["transformer"]), path)
+    settings = Settings(weights=str(path), runtime=runtime_name, device="cpu")  # type: ignore[arg-type]
+    prepare_model(settings.model_copy(update={"image_size": 64}), [(64, 64)]).close()
+    before_mb = resident_mb(os.getpid())
+    forget_peak()
     with pytest.raises(ValueError, match=r"^Image size 640: layer 2 \(C3TR\) would keep 21\.0 GB .* at most"):
-        prepare_model(tiny.model_copy(update={"image_size": 640, "runtime": "auto"}), [(480, 640)])
+        prepare_model(settings, [(480, 640)])
+    assert peak_resident_mb(os.getpid()) - before_mb < MAX_GROWN_MB
 
 
 def test_a_model_for_which_the_memory_does_not_suffice_is_refused(

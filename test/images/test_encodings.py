@@ -225,3 +225,24 @@ def test_a_byte_too_few_is_refused(encoding: str, data: st.DataObject) -> None:
     sent = data.draw(sent_images(encoding))
     with pytest.raises(ImageError, match=f"found {len(sent.data) - 1}"):
         sent._replace(data=sent.data[:-1]).decoded(encoding)
+
+
+numbers = st.integers(-1, 20) | st.integers(-(2**63), 2**64)
+
+
+@given(
+    size=st.integers(0, 300),
+    encoding=st.sampled_from([*ENCODINGS, "32FC1"]),
+    height=numbers,
+    width=numbers,
+    step=numbers,
+)
+def test_hostile_numbers_give_an_image_or_an_image_error(
+    size: int, encoding: str, height: int, width: int, step: int
+) -> None:
+    try:
+        image = decode(bytes(size), encoding=encoding, height=height, width=width, step=step)
+    except ImageError:
+        return
+    assert image.size_hw == (height, width)
+    assert image.pixels.max() < 255  # reads every pixel

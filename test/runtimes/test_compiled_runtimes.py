@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
-from support.random_model import CLASS_NAMES, random_frame, random_model
+from support.random_model import CLASS_NAMES, TINY, random_frame, random_model
 from support.runtime_names import COMPILED_RUNTIMES
 from support.started import printed_by
 
@@ -18,13 +18,21 @@ from benchmark.process_memory import resident_mb
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import load_detector
 from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.models.architecture import SIZES
+from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
+DETECT_ALONE = dataclasses.replace(
+    TINY, anchors_px=(((10, 13), (16, 30)),), strides=(1,), layers=(Layer((-1,), 1, "Detect"),)
+)
+PIXELS_TWICE = dataclasses.replace(
+    DETECT_ALONE,
+    strides=(2,),
+    layers=(Layer((-1, -1), 1, "Concat"), Layer((-1,), 1, "Conv", (64, 3, 2)), Layer((-1,), 1, "Detect")),
+)
 SCORES = 2e-3
 BOXES_PX = 0.1
 
@@ -43,6 +51,22 @@ def assert_same_predictions(raw: NDArray[np.float32], expected: NDArray[np.float
     assert raw.dtype == np.float32
     np.testing.assert_allclose(raw[:, :4], expected[:, :4], rtol=0, atol=BOXES_PX)
     np.testing.assert_allclose(raw[:, 4:], expected[:, 4:], rtol=0, atol=SCORES)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        pytest.param(DETECT_ALONE, id="no layer but the last"),
+        pytest.param(PIXELS_TWICE, id="a first layer that joins the image with itself"),
+    ],
+)
+def test_a_random_network_predicts_what_it_predicts_in_torch(
+    runtime_name: str, architecture: Architecture
+) -> None:
+    model, frame = random_model(4, architecture), random_frame(192, 64)
+    raw, expected = (loaded(model, name)(frame, "rgb").rows for name in (runtime_name, "torch"))
+    assert_same_predictions(raw, expected)
 
 
 @pytest.mark.long

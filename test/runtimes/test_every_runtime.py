@@ -30,6 +30,8 @@ from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.models.head import Segment
 from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.runtimes.compiled_runtime import DetectionHead
+from yolov5_lifecycle.runtimes.networks_by_shape import are_zero
 from yolov5_lifecycle.runtimes.onnx_graph import onnx_graph
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
@@ -260,3 +262,22 @@ def test_torch_uses_the_threads_of_a_stream_only_in_the_stream(monkeypatch: pyte
     runtime(FRAME, "rgb")
     assert seen == [before + 1, before, before]
     assert torch.get_num_threads() == before
+
+
+@pytest.mark.long
+def test_denormal_numbers_are_zero_while_a_network_runs_and_not_after(
+    runtime_name: str, runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A network that computes with them takes ten times as long, and weights can be made for that."""
+    seen: list[bool] = []
+    owner, attribute = (Network, "features") if runtime_name == "torch" else (DetectionHead, "__call__")
+    original = getattr(owner, attribute)
+
+    def watched(*arguments: Any) -> Any:
+        seen.append(are_zero())
+        return original(*arguments)
+
+    monkeypatch.setattr(owner, attribute, watched)
+    runtime(FRAME, "rgb")
+    assert seen == [True]
+    assert not are_zero()
