@@ -34,10 +34,10 @@ from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment, segmented
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
+from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import OfflineDetector, prepared_for
 from yolov5_lifecycle.offline.export.exporting import Export
@@ -209,7 +209,7 @@ def detector() -> Detector:
 def tracked() -> list[Detections]:
     """What the node finds in the images of the recording, with a tracker."""
     tracking = TrackedDetection(ByteTracker(itertools.count(1)), Settings())
-    chosen = selection(SETTINGS, detector().class_names)
+    chosen = selection_of(SETTINGS, detector().class_names)
     return [tracking.detect(detector(), scene(number), chosen, stamp_s(number)) for number in range(COUNT)]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from yolov5_lifecycle.detection.selection import model_problems
+from yolov5_lifecycle.detection.class_filter import model_problems
 from yolov5_lifecycle.ros.topics import published, subscribed
 from yolov5_lifecycle.settings.camera_overrides import MAX_CAMERAS
 from yolov5_lifecycle.settings.schema import Change, SettingsError
