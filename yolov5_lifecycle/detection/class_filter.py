@@ -1,4 +1,4 @@
-"""Class names or indices in settings -> class ids of a loaded model, and the `Selection` that settings make."""
+"""Class names or indices in settings -> class ids of a model, and the `Selection` that settings make."""
 
 from __future__ import annotations
 
