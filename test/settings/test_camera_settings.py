@@ -151,9 +151,21 @@ def test_of_very_many_overrides_of_absent_cameras_the_first_are_explained() -> N
     assert f"and {MAX_UNKNOWN} more: there are no such parameters." in told
 
 
+def test_what_a_camera_overrides_may_contradict_what_it_inherits() -> None:
+    (problem,) = problems({**FRONT_AND_REAR, "track_low_threshold": 0.2, "front.track_high_threshold": 0.15})
+    assert problem.startswith("front.track_low_threshold: 0.2 is above")
+
+
 def test_a_problem_of_the_node_is_not_repeated_for_every_camera() -> None:
     values = {"track_low_threshold": 0.3, "front.lazy": True, "rear.lazy": True}
     assert len(problems({**FRONT_AND_REAR, **values})) == 1
+
+
+def test_every_problem_is_reported_at_once() -> None:
+    of_node = {"max_rate": -1.0, "image_size": 7, "wieghts": "x"}
+    values = {**of_node, "front.lazy": 1, "rear.depth": 1, "side.lazy": True}
+    names = [problem.partition(":")[0] for problem in problems({**FRONT_AND_REAR, **values})]
+    assert names == ["image_size", "max_rate", "wieghts", "front.lazy", "rear.depth", "side.lazy"]
 
 
 # With the classes of a model
