@@ -40,11 +40,6 @@ def folder(tmp_path: Path) -> Path:
     return grey_folder(tmp_path)
 
 
-@pytest.fixture
-def video(tmp_path: Path) -> Path:
-    return grey_video(tmp_path / "video.avi")
-
-
 @pytest.mark.parametrize("encoding", get_args(CameraSettings.model_fields["encoding"].annotation))
 @pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
 def test_what_is_encoded_is_decoded_to_the_same_colours(channel_order: ChannelOrder, encoding: str) -> None:
@@ -105,7 +100,7 @@ def together(*received: dict[int, Any]) -> list[int]:
 
 
 def test_a_video_played_once_reaches_a_subscriber_completely_and_nothing_more_is_known_of_it(
-    observer: Observer, ros_domain: int, video: Path
+    observer: Observer, ros_domain: int, tmp_path: Path
 ) -> None:
     images, published = list[Image](), set[str]()
     observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)
@@ -116,6 +111,7 @@ def test_a_video_played_once_reaches_a_subscriber_completely_and_nothing_more_is
         published.update(name for name, _ in observer.get_topic_names_and_types())
         return len(images) == len(infos) == len(GREYS)
 
+    video = grey_video(tmp_path / "video.avi")
     arguments = as_arguments({"source": str(video), "loop": "false", "rate": 1000})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
         observer.wait_for(is_complete, "every image")
