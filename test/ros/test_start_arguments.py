@@ -109,7 +109,9 @@ def test_values_of_two_types_for_one_name_are_a_problem(
     ("text", "word", "told"),
     [
         # rcl's libyaml is older than PyYAML's
-        pytest.param("%YAML 1.2\n---\n/**: {}", "", "Error: Error parsing a event near line 1$", id="file"),
+        pytest.param(
+            "%YAML 1.2\n---\n/**: {}", "", "{path}'. Error: Error parsing a event near line 1$", id="file"
+        ),
         pytest.param("", "--no-such-word", "no-such-word", id="word"),
     ],
 )
@@ -118,7 +120,7 @@ def test_what_only_ros_refuses_is_an_error_in_its_words(
 ) -> None:
     path.write_text(text)
     given = start_arguments(["detector", "--ros-args", "--params-file", str(path), *filter(None, [word])])
-    with pytest.raises(RuntimeError, match=told):
+    with pytest.raises(RuntimeError, match=told.format(path=path)):
         initialize(given.words)
 
 

@@ -37,6 +37,12 @@ def path(tmp_path: Path) -> Path:
             {"wheels": 4},
             id="ROS's own",
         ),
+        pytest.param(
+            "b: {ros__parameters: {device: 1, front: {classes: [0], lazy: true}, front.max_rate: 2}}",
+            "/b",
+            {"device": "1", "front.classes": ["0"], "front.lazy": True, "front.max_rate": 2},
+            id="types of settings, nested or dotted",
+        ),
     ],
 )
 def test_a_file_speaks_to_the_nodes_it_names(

@@ -103,9 +103,9 @@ def test_a_video_played_once_reaches_a_subscriber_completely_and_nothing_more_is
     observer: Observer, ros_domain: int, tmp_path: Path
 ) -> None:
     images, published = list[Image](), set[str]()
-    observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)
     masks = collected(observer, Image, "/camera/ground_truth_masks")
     infos = collected(observer, CameraInfo, "/camera_info")
+    observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)  # for which the camera waits
 
     def is_complete() -> bool:
         published.update(name for name, _ in observer.get_topic_names_and_types())
