@@ -122,9 +122,13 @@ class Viewer:
 
     def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
         self._camera = camera
+        self._client = camera.served.client
         self.received: list[Any] = []
         name = camera.topic(topic)
-        camera.served.client.create_subscription(kind, name, self.received.append, 10)
+        self._subscription = self._client.create_subscription(kind, name, self.received.append, 10)
+
+    def leave(self) -> None:
+        self._client.destroy_subscription(self._subscription)
 
     def begin(self) -> None:
         """Send images until one is answered, as the node may not have discovered the subscriber yet."""
