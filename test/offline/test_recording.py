@@ -242,7 +242,7 @@ def metadata_with(text: str, folder: Path) -> Path:
             id="as metadata",
         ),
         pytest.param(
-            partial(metadata_with, " " * (16 << 20) + " "),
+            lambda f: metadata_with(" " * ((16 << 20) + 1), f),
             "metadata.yaml: found more than",
             id="large metadata",
         ),
