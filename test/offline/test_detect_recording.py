@@ -170,21 +170,23 @@ def test_a_recording_has_a_label_image_for_each_array_of_detections(drive: Path,
     assert as_ros(smaller)[1:] == [one for one in written if one[0] != MASKS]
 
 
-def test_a_recording_has_label_images_of_images_without_a_detection(drive: Path, tmp_path: Path) -> None:
-    words = [str(drive), "--output", str(tmp_path / "found"), "--set", "confidence_threshold=1.0"]
-    assert segment(words) == 0
-    found = of_topic(tmp_path / "found", MASKS)
+@pytest.mark.parametrize(
+    ("words", "is_found"),
+    [
+        pytest.param(["--set", "confidence_threshold=1.0"], False, id="without a detection"),
+        pytest.param(["--track", *SET_SEGMENTING], True, id="tracked"),
+    ],
+)
+def test_every_label_image_numbers_the_detections(
+    words: list[str], is_found: bool, drive: Path, tmp_path: Path
+) -> None:
+    assert segment([str(drive), "--output", str(tmp_path / "found"), *words]) == 0
+    arrays, found = (of_topic(tmp_path / "found", topic) for topic in (DETECTIONS, MASKS))
+    assert any(one.id for array in arrays for one in array.detections) == is_found
     assert len(found) == COUNT
-    for message in found:
-        np.testing.assert_array_equal(labels_of(message), np.zeros(SIZE_HW))
-
-
-def test_the_label_images_of_a_tracked_recording_number_its_detections(drive: Path, tmp_path: Path) -> None:
-    assert segment([str(drive), "--output", str(tmp_path / "found"), "--track", *SET_SEGMENTING]) == 0
-    arrays = of_topic(tmp_path / "found", DETECTIONS)
-    assert any(one.id for array in arrays for one in array.detections)
-    for number, masks in enumerate(of_topic(tmp_path / "found", MASKS)):
-        np.testing.assert_array_equal(labels_of(masks), segmented(scene(number)).label_image())
+    for number, masks in enumerate(found):
+        expected = segmented(scene(number)).label_image() if is_found else np.zeros(SIZE_HW)
+        np.testing.assert_array_equal(labels_of(masks), expected)
 
 
 @pytest.mark.parametrize(
