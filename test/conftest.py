@@ -35,7 +35,7 @@ for name in [*re.findall(r"^(\w+) \?=", (REPOSITORY / "Makefile").read_text(), r
 for name in [name for name in os.environ if name.startswith("MAKE")]:
     del os.environ[name]
 
-pytest_plugins = ["support.page_fixtures", "support.shared_fixtures"]
+pytest_plugins = ["support.page_fixtures", "support.refusals", "support.shared_fixtures"]
 
 # A busy machine is no failure of an example, and the same commit gives the same result.
 settings.register_profile(

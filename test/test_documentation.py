@@ -29,8 +29,8 @@ from support.preparations import Preparations
 from support.segmented_scene import CAT_XYXY, DOG_XYXY, labels
 from support.served_node import ServedNode
 
+from yolov5_lifecycle.detection.class_filter import class_ids
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.detection.selection import class_ids
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.parameters.declaration import value_of

@@ -129,9 +129,10 @@ def test_an_export_is_loaded_but_not_converted(tmp_path: Path) -> None:
         convert(path, tmp_path / "best.safetensors", overwrite=False)
 
 
-def test_the_cost_is_that_of_the_convolution() -> None:
-    cost = export_cost(read_onnx(small_export(size_hw=None)), (320, 640))
-    assert cost.multiply_adds == pytest.approx(8 * 3 * 320 * 640, rel=0.01)
+@pytest.mark.parametrize(("batch", "images"), [(None, 1), (2, 2)], ids=["any batch", "two at once"])
+def test_the_cost_is_that_of_the_convolution(batch: int | None, images: int) -> None:
+    cost = export_cost(read_onnx(small_export(size_hw=None, batch=batch)), (320, 640))
+    assert cost.multiply_adds == pytest.approx(images * 8 * 3 * 320 * 640, rel=0.01)
 
 
 @pytest.mark.long  # torch exports a network

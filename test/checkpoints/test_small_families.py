@@ -165,6 +165,15 @@ def test_a_mixed_convolution_that_cannot_add_its_input_is_read_though_it_has_one
     assert read_checkpoint(data).architecture == architecture
 
 
+def test_a_mixed_convolution_that_added_its_input_is_refused() -> None:
+    model = official_model(EVERY_SMALL["convolutions"], half=False)
+    for path, part in named_modules(model):
+        if path.startswith("model.2.m."):
+            part.groups = 1
+    with pytest.raises(WeightsError, match=r"a MixConv2d of YOLOv5 before 6\.1, which adds its input"):
+        read_checkpoint(saved(stripped(model)))
+
+
 def test_a_number_of_channels_that_is_that_of_the_head_is_not_scaled() -> None:
     """As YOLOv5 builds its models: with 27 classes and two anchors, 64 channels stay 64."""
     architecture = dataclasses.replace(EVERY_SMALL["cross-stage"], classes=27)

@@ -182,7 +182,10 @@ def test_a_look_finds_more_and_reports_what_the_selection_does() -> None:
     assert not extended.with_masks
     assert rules(segments=True).extended(DOG_AT_07).with_masks
     scores, classes = np.array([0.65, 0.3], np.float32), np.array([1, 0], np.int64)
-    assert extended.admits(scores, classes).tolist() == DOG_AT_07.admits(scores, classes).tolist()
+    assert (
+        extended.above_thresholds(scores, classes).tolist()
+        == DOG_AT_07.above_thresholds(scores, classes).tolist()
+    )
     assert rules(reasons=()).extended(Selection()).extra_threshold == 0.25
 
 

@@ -65,6 +65,14 @@ def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
     return len(kept)
 
 
+def collected(path: Path, count: int) -> CollectedFolder:
+    """The folder at `path`, in which another process has kept so many frames."""
+    with closing(CollectedFolder(path, LARGE)) as folder:
+        for seed in range(count):
+            keep(folder, seed)
+    return folder
+
+
 def test_a_kept_frame_is_an_image_its_labels_and_a_line(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path / "new", LARGE, session=RecordingSession())
     assert keep(folder)
@@ -120,9 +128,7 @@ def test_an_image_that_somebody_deletes_takes_no_room(tmp_path: Path) -> None:
     ids=["images", "bytes"],
 )
 def test_a_session_that_somebody_deletes_takes_no_room(quota: Callable[[int], Quota], tmp_path: Path) -> None:
-    before = CollectedFolder(tmp_path, LARGE)
-    keep(before, 0)
-    before.close()
+    before = collected(tmp_path, 1)
     folder = CollectedFolder(tmp_path, quota(before.size_bytes))
     shutil.rmtree(tmp_path / IMAGES / before.session.name)
     assert keep(folder, 1, value=0.5)
@@ -131,10 +137,7 @@ def test_a_session_that_somebody_deletes_takes_no_room(quota: Callable[[int], Qu
 
 
 def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -> None:
-    folder = CollectedFolder(tmp_path, LARGE)
-    keep(folder)
-    folder.close()
-    small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=folder.size_bytes))
+    small = CollectedFolder(tmp_path, replace(LARGE, max_bytes=collected(tmp_path, 1).size_bytes))
     large = candidate(1, received_jpeg=np.zeros(100_000, np.uint8), reasons={Trigger.REQUESTED: Detail("")})
     assert not add(small, large)
     small.close()
@@ -142,12 +145,10 @@ def test_a_frame_that_is_larger_than_the_quota_removes_nothing(tmp_path: Path) -
 
 
 def test_what_was_kept_before_is_known_again_and_a_process_goes_on_with_its_session(tmp_path: Path) -> None:
-    first = CollectedFolder(tmp_path, LARGE)
-    keep(first, 5)
-    first.close()
+    first = collected(tmp_path, 1)
     again = CollectedFolder(tmp_path, LARGE)
     assert (len(again), again.size_bytes, again.class_names) == (1, first.size_bytes, CLASS_NAMES)
-    assert again.descriptors.distance(look_of(5)) == pytest.approx(0, abs=1e-3)
+    assert again.descriptors.distance(look_of(0)) == pytest.approx(0, abs=1e-3)
     assert again.descriptors.distance(look_of(6)) > 0.5
     assert again.session.name != first.session.name
     again.close()
@@ -238,9 +239,7 @@ def test_a_frame_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["missing", "broken"])
 def test_without_the_names_of_its_classes_a_folder_is_refused(tmp_path: Path, damage: str) -> None:
-    folder = CollectedFolder(tmp_path, LARGE)
-    keep(folder)
-    folder.close()
+    collected(tmp_path, 1)
     description = tmp_path / "data.yaml"
     description.unlink() if damage == "missing" else description.write_text("names: {{{")
     with pytest.raises(CollectingError, match=r"data\.yaml"):
@@ -249,10 +248,7 @@ def test_without_the_names_of_its_classes_a_folder_is_refused(tmp_path: Path, da
 
 
 def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> None:
-    folder = CollectedFolder(tmp_path, LARGE)
-    keep(folder)
-    session = (tmp_path / images(tmp_path)[0]).parent
-    folder.close()
+    session = tmp_path / IMAGES / collected(tmp_path, 1).session.name
     for parent in (tmp_path, session):
         left = parent / f"{FOLDER_PREFIX}killed"
         left.mkdir()
@@ -292,7 +288,8 @@ def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
     ],
 )
 def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path: Path, linked: str) -> None:
-    path = foreign(tmp_path / "foreign")
+    path = tmp_path / "foreign"
+    collected(path, 2)
     inner = path / named(path, linked)
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
@@ -302,29 +299,11 @@ def test_a_link_in_the_folder_is_refused_and_nothing_behind_it_removed(tmp_path:
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def foreign(path: Path) -> Path:
-    """A folder of two images that another process has collected."""
-    folder = CollectedFolder(path, LARGE)
-    keep(folder, 0)
-    keep(folder, 1)
-    folder.close()
-    return path
-
-
 def named(folder: Path, pattern: str) -> str:
     """The path of a part of `folder`, of its first image if it is of one."""
     kept = images_of(folder)[0]
     of_image = {"labels": file_of(kept.path, LABELS), "record": file_of(kept.path, FRAMES)}
     return pattern.format(session=kept.session, image=kept.path, **of_image)
-
-
-def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
-    (tmp_path / "outside").mkdir()
-    (tmp_path / "foreign").mkdir()
-    (tmp_path / "foreign" / "labels").symlink_to(tmp_path / "outside")
-    with pytest.raises(CollectingError, match="expected a file or folder, found a link"):
-        CollectedFolder(tmp_path / "foreign", LARGE)
-    assert [*(tmp_path / "outside").iterdir()] == []
 
 
 @pytest.mark.parametrize(
@@ -334,7 +313,8 @@ def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(
     tmp_path: Path, name: str, max_bytes: int
 ) -> None:
-    os.truncate(tmp_path / named(foreign(tmp_path), name), max_bytes + 1)
+    collected(tmp_path, 1)
+    os.truncate(tmp_path / named(tmp_path, name), max_bytes + 1)
     with pytest.raises(CollectingError, match=f"expected at most {max_bytes:,} bytes"):
         CollectedFolder(tmp_path, LARGE)
 
@@ -342,25 +322,26 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(
 def test_too_many_records_are_refused_and_not_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(collected_files, "MAX_IMAGES", 1, raising=False)
+    collected(tmp_path, 2)
+    monkeypatch.setattr(collected_files, "MAX_IMAGES", 1)
     with pytest.raises(CollectingError, match="expected at most 1 records"):
-        CollectedFolder(foreign(tmp_path), LARGE)
+        CollectedFolder(tmp_path, LARGE)
 
 
 def test_a_damaged_record_is_left_out_and_its_image_stays(tmp_path: Path) -> None:
-    path = foreign(tmp_path)
-    image = images_of(path)[0].path
-    (path / file_of(image, FRAMES)).write_bytes(TEXT)  # that of another image
-    with closing(CollectedFolder(path, LARGE)) as folder:
+    collected(tmp_path, 2)
+    image = images_of(tmp_path)[0].path
+    (tmp_path / file_of(image, FRAMES)).write_bytes(TEXT)  # that of another image
+    with closing(CollectedFolder(tmp_path, LARGE)) as folder:
         assert len(folder) == 1
-    assert (path / image).exists()
+    assert (tmp_path / image).exists()
 
 
 def test_a_record_without_an_image_is_removed_with_its_labels(tmp_path: Path) -> None:
-    path = foreign(tmp_path)
-    (path / images_of(path)[0].path).unlink()
-    CollectedFolder(path, LARGE).close()
-    assert check(path) == 1
+    collected(tmp_path, 2)
+    (tmp_path / images_of(tmp_path)[0].path).unlink()
+    CollectedFolder(tmp_path, LARGE).close()
+    assert check(tmp_path) == 1
 
 
 WRITER = """

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from support.colcon_workspace import REPOSITORY
 from support.random_model import CLASS_NAMES, random_model
+from support.refusals import Refused
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
@@ -59,31 +60,18 @@ def test_a_conversion_prints_classes_parameters_and_digest(
     ],
 )
 def test_an_error_is_one_line_and_leaves_nothing_behind(
-    source: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    source_name: str,
-    target_name: str,
-    told: str,
+    source: Path, tmp_path: Path, refused: Refused, source_name: str, target_name: str, told: str
 ) -> None:
     (tmp_path / "broken.pt").touch()
     (tmp_path / "folder.safetensors").mkdir()
-    before = sorted(tmp_path.rglob("*"))
-    assert main([str(tmp_path / source_name), str(tmp_path / target_name), "--force"]) == 1
-    output, error = capsys.readouterr()
-    assert output == ""
-    assert error.startswith("convert: ")
-    assert error.count("\n") == 1
-    assert told in error
-    assert sorted(tmp_path.rglob("*")) == before
+    line = refused.in_a_line(main, source_name, target_name, "--force")
+    assert line.startswith("convert: ")
+    assert told in line
 
 
 @pytest.mark.parametrize("arguments", [["only.pt"], ["a.pt", "b", "--unknown"]], ids=str)
-def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(arguments)
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
+def test_wrong_usage_is_one_line(arguments: list[str], refused: Refused) -> None:
+    line = refused.in_a_line(main, *arguments, code=2)
     assert line.startswith("convert: ")
     assert line.endswith("`convert --help` explains all arguments.")
 

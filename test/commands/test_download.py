@@ -24,6 +24,7 @@ from support.file_server import (
     stalling,
     unfinished,
 )
+from support.refusals import Refused
 
 from yolov5_lifecycle.checkpoints.locate import WeightsFile
 from yolov5_lifecycle.commands import download as module
@@ -155,22 +156,16 @@ ESCAPES = "\x1b]0;owned\x07\x1b[2J" + "x" * 5000
     ],
 )
 def test_a_bad_answer_is_one_short_line_with_the_address_and_leaves_no_file(
-    folder: Path,
-    checkpoint: bytes,
-    capsys: pytest.CaptureFixture[str],
-    behave: Callable[[bytes], Behaviour],
-    told: str,
+    folder: Path, checkpoint: bytes, refused: Refused, behave: Callable[[bytes], Behaviour], told: str
 ) -> None:
+    folder.mkdir(parents=True)
     with FileServer(behave(checkpoint)) as server:
-        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
-    output, error = capsys.readouterr()
+        error = refused(main, "n", "--dir", folder, "--url", server.address + PATTERN)
     _licence, line = error.splitlines()
-    assert output == ""
     assert re.search(told, line), line
     assert line.startswith(f"fetch_weights: {server.address}")
     assert line.isprintable()
     assert len(line) < 1000
-    assert list(folder.glob("*.pt")) == []
 
 
 def test_a_chunked_answer_is_read(folder: Path, checkpoint: bytes) -> None:

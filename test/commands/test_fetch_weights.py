@@ -21,6 +21,7 @@ from support.file_server import (
     unfinished,
 )
 from support.random_model import CLASS_NAMES
+from support.refusals import Refused
 from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
@@ -97,10 +98,10 @@ def test_what_is_no_file_is_neither_written_nor_waited_for(
     ],
 )
 def test_an_address_that_cannot_be_used_is_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], url: str, told: str
+    folder: Path, refused: Refused, url: str, told: str
 ) -> None:
-    assert main(["n", "--dir", str(folder), "--url", url]) == 1
-    _licence, line = capsys.readouterr().err.splitlines()
+    folder.mkdir(parents=True)
+    _licence, line = refused(main, "n", "--dir", folder, "--url", url).splitlines()
     assert line.startswith("fetch_weights: ")
     assert told in line
 
@@ -191,12 +192,11 @@ def test_a_terminal_sees_the_progress(
 
 
 def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
-    folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str]
+    folder: Path, checkpoint: bytes, refused: Refused
 ) -> None:
-    with FileServer(sending(checkpoint)) as server, pytest.raises(SystemExit) as stopped:
-        main(["n", "--dir", str(folder), "--url", server.address + PATTERN, "--sha256", "abc"])
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    with FileServer(sending(checkpoint)) as server:
+        words = ["n", "--dir", folder, "--url", server.address + PATTERN, "--sha256", "abc"]
+        line = refused.in_a_line(main, *words, code=2)
     assert line.startswith("fetch_weights: ")
     assert "must be 64 hexadecimal digits" in line
     assert server.requests == []

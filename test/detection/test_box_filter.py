@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.settings.settings import validated
 
@@ -65,6 +65,6 @@ def test_a_box_counts_by_its_place_and_size(
     ],
 )
 def test_without_regions_and_sizes_no_box_is_looked_at(settings: dict[str, Any], filters: bool) -> None:
-    box_filter = selection(validated(settings), ("cat",)).box_filter
+    box_filter = selection_of(validated(settings), ("cat",)).box_filter
     assert (box_filter is not None) is filters
     assert box_filter is None or box_filter.region_anchor == "center"

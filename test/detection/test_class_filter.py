@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from yolov5_lifecycle.detection.selection import MAX_EXPLAINED, class_ids, class_thresholds
+from yolov5_lifecycle.detection.class_filter import MAX_EXPLAINED, class_ids, class_thresholds
 from yolov5_lifecycle.models.class_names import class_names_of
 
 NAMES = ("person", "bicycle", "traffic light", "3", "person")

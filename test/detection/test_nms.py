@@ -16,6 +16,7 @@ from yolov5_lifecycle.detection.nms import (
     MAX_CANDIDATES,
     WORTH_TELLING,
     Selection,
+    narrowed,
     select,
     suppress,
 )
@@ -164,6 +165,19 @@ def test_what_only_a_tracker_wants_replaces_nothing_that_is_admitted() -> None:
     assert select(raw_rows(*rows), one).class_ids.tolist() == [1]
     both = select(raw_rows(*rows), replace(one, max_detections=2))
     assert both.class_ids.tolist() == [0, 1]  # best first
+
+
+def test_what_is_reported_is_above_the_threshold_of_its_class_or_the_extra_one() -> None:
+    scores = ((0, 0.07), (1, 0.06), (0, 0.15))
+    rows = [
+        (50 * (index + 1), 50, 10, 10, score, 1.0 - class_id, float(class_id))
+        for index, (class_id, score) in enumerate(scores)
+    ]
+    selection = Selection(class_thresholds=((1, 0.05),), extra_threshold=0.1)
+    assert select(raw_rows(*rows), selection).class_ids.tolist() == [0, 1]
+    wider = select(raw_rows(*rows), selection.wider(0.05))
+    assert wider.class_ids.tolist() == [0, 0, 1]
+    assert narrowed(wider, selection).scores.tolist() == pytest.approx([0.15, 0.06])
 
 
 def test_only_the_best_candidates_are_compared_with_the_regions() -> None:

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from yolov5_lifecycle.evaluation import yolo_folder
 from yolov5_lifecycle.evaluation.ground_truth import MAX_BOXES_PER_IMAGE, DataError, LabelledFolder, Problems
@@ -328,6 +326,8 @@ def test_labels_are_boxes_in_pixels(
         pytest.param("0 1.5 0.5 0.2 0.2", "from 0 to 1, found 1.5", id="beyond 1"),
         pytest.param("0 0.5 -0.5 0.2 0.2", "from 0 to 1, found -0.5", id="below 0"),
         pytest.param("0 0.1 0.1 0.1 0.2 0.1 0.3", "no area", id="flat polygon"),
+        pytest.param("9" * 300 + " 0.5 0.5 0.2 0.2", "found 999", id="long class"),
+        pytest.param("0 0.5 0.5 0.2 " + "x" * 300, "expected numbers: ", id="long name"),
     ],
 )
 def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> None:
@@ -335,6 +335,7 @@ def test_a_broken_line_is_refused_with_its_number(line: str, reason: str) -> Non
         parsed_labels(f"0 0.5 0.5 0.2 0.2\n\n{line}\n", 2)
     assert str(refused.value).startswith("line 3: ")
     assert reason in str(refused.value)
+    assert len(str(refused.value)) < 200
 
 
 def test_the_number_of_objects_is_limited() -> None:
@@ -352,28 +353,3 @@ def test_a_file_that_is_no_text_is_refused_and_a_missing_one_has_no_labels(tmp_p
     for name in ("bytes.txt", "large.txt", "pipe.txt", "folder.txt"):
         with pytest.raises(DataError):
             label_text(tmp_path / name)
-
-
-FIELDS = st.one_of(
-    st.sampled_from(["0", "1", "-1", "0.5", "1.0", "nan", "1e999", "0x1", "\ufeff0", "٣", "0_1"]),
-    st.floats().map(str),
-    st.text(max_size=5),
-)
-
-
-@settings(max_examples=50)
-@given(st.lists(st.lists(FIELDS, max_size=9).map(" ".join), max_size=4).map("\n".join))
-def test_labels_are_boxes_in_the_image_or_refused(text: str) -> None:
-    try:
-        boxes = parsed_labels(text, 2).scaled((100, 200))
-    except DataError as error:
-        refused = str(error)
-    else:
-        refused = ""
-        assert np.isfinite(boxes.xyxy).all()
-        assert (boxes.xyxy[:, :2] < boxes.xyxy[:, 2:]).all()
-        assert (boxes.xyxy >= 0).all()
-        assert (boxes.xyxy <= (200, 100, 200, 100)).all()
-        assert set(boxes.class_ids.tolist()) <= {0, 1}
-    assert not refused or refused.startswith("line ")
-    assert len(refused) < 200

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from support.candidates import CLASS_NAMES, frames_of, images_of, keep
 from support.colcon_workspace import REPOSITORY
+from support.refusals import Refused
 
 from yolov5_lifecycle.collecting import collected_files
 from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota, RecordingSession
@@ -121,26 +122,21 @@ def test_folders_whose_class_numbers_differ_do_not_become_one(tmp_path: Path) ->
 @pytest.mark.parametrize("action", ["show", "split"])
 @pytest.mark.parametrize("linked", ["images", "labels", "frames", "images/{session}"])
 def test_a_link_in_the_folder_is_refused_and_nothing_is_written(
-    action: str, linked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    action: str, linked: str, tmp_path: Path, refused: Refused
 ) -> None:
     folder = collected(tmp_path / "robot", 1, 1)
     inner = folder / linked.format(session=sessions(folder)[0])
     inner.rename(tmp_path / "outside")
     inner.symlink_to(tmp_path / "outside")
-    before = sorted(tmp_path.rglob("*"))
-    assert run(action, folder) == 1
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "expected a file or folder, found a link; replace it by a copy" in told.err
-    assert sorted(tmp_path.rglob("*")) == before
+    assert "expected a file or folder, found a link; replace it by a copy" in refused(main, action, folder)
 
 
 def test_records_that_are_too_large_together_are_not_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(collected_files, "MAX_RECORDS_BYTES", 1000)
-    assert run("show", collected(tmp_path / "robot", 2)) == 1
-    assert "expected at most 1,000 bytes, found more; use another folder" in capsys.readouterr().err
+    told = refused(main, "show", collected(tmp_path / "robot", 2))
+    assert "expected at most 1,000 bytes, found more; use another folder" in told
 
 
 def test_many_sessions_are_handled_before_a_cost_with_their_square_would_end() -> None:
@@ -149,28 +145,18 @@ def test_many_sessions_are_handled_before_a_cost_with_their_square_would_end() -
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "code", "message"),
     [
-        (["split", "one session"], "at least two sessions, found 1"),
-        (["split", "nameless"], "data.yaml is missing"),
-        (["show", "missing"], "expected the collect_dir of a detector"),
-        (["split", ".", "--share", "1"], "between 0 and 1"),
-        ([], "ACTION"),
+        (["split", "one session"], 1, "at least two sessions, found 1"),
+        (["split", "nameless"], 1, "data.yaml is missing"),
+        (["show", "missing"], 1, "expected the collect_dir of a detector"),
+        (["split", ".", "--share", "1"], 2, "between 0 and 1"),
+        ([], 2, "ACTION"),
     ],
 )
 def test_what_cannot_be_done_is_told(
-    words: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], code: int, message: str, tmp_path: Path, refused: Refused
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     collected(tmp_path / "one session", 1)
     (collected(tmp_path / "nameless", 1, 1) / "data.yaml").unlink()
-    try:
-        code = run(*words)
-    except SystemExit as end:
-        code = int(end.code or 0)
-    assert code in (1, 2)
-    assert message in capsys.readouterr().err
+    assert message in refused(main, *words, code=code)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_raising, run
 from support.grey_images import grey_folder
 from support.recorded_scene import COUNT, images, raw, record, text, video
+from support.refusals import Refused
 
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
@@ -27,13 +29,11 @@ MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
     ],
 )
 def test_detection_ends_after_too_many_failed_inferences(
-    error: InferenceError, failures: int, drive: Path, capsys: pytest.CaptureFixture[str]
+    error: InferenceError, failures: int, drive: Path, refused: Refused
 ) -> None:
-    words = [str(drive), "--output", str(drive.parent / "found"), "--set", "max_consecutive_failures=2"]
-    assert main(words, prepare=prepare_raising(error)) == 1
-    stopped = f"detect_bag: stopped after {failures} consecutive failed images: {error}\n"
-    assert capsys.readouterr().err.endswith(stopped)
-    assert list(drive.parent.iterdir()) == [drive]
+    raising = partial(main, prepare=prepare_raising(error))
+    told = refused(raising, drive, "--output", "found", "--set", "max_consecutive_failures=2")
+    assert told.endswith(f"detect_bag: stopped after {failures} consecutive failed images: {error}\n")
 
 
 def no_images(folder: Path) -> Path:
@@ -112,22 +112,11 @@ def a_video(folder: Path) -> Path:
     ],
 )
 def test_an_error_says_what_to_do_and_leaves_nothing_behind(
-    make: Callable[[Path], Path],
-    words: list[str],
-    told: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    make: Callable[[Path], Path], words: list[str], told: str, tmp_path: Path, refused: Refused
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    source = make(tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    assert run([str(source), "--output", "found", *SET_MODEL, *words]) == 1
-    output, error = capsys.readouterr()
-    assert output == ""
+    error = refused(run, make(tmp_path), "--output", "found", *SET_MODEL, *words)
     assert error.startswith("detect_bag: ")
     assert told in error
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
@@ -172,30 +161,22 @@ def test_an_error_says_what_to_do_and_leaves_nothing_behind(
     ],
 )
 def test_all_arguments_that_are_wrong_are_told_at_once_in_one_line(
-    words: list[str],
-    told: list[str],
-    drive: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], told: list[str], drive: Path, refused: Refused
 ) -> None:
-    monkeypatch.chdir(drive.parent)
     images(drive.parent / "shots")
     video(drive.parent / "drive.avi")
-    with pytest.raises(SystemExit) as stopped:
-        main(words)
-    assert stopped.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refused.in_a_line(main, *words, code=2)
     assert line.startswith("detect_bag: ")
     assert [text for text in told if text not in line] == []
 
 
 def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    drive: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     monkeypatch.delitem(sys.modules, "yolov5_lifecycle.offline.detect_recording", raising=False)
-    assert main([str(drive), "--output", str(drive.parent / "found"), *SET_MODEL]) == 1
-    assert f"{sys.executable} -m pip install rosbags" in capsys.readouterr().err
+    told = refused(main, drive, "--output", "found", *SET_MODEL)
+    assert f"{sys.executable} -m pip install rosbags" in told
 
 
 # Python would keep truncated bytecode of this package: https://github.com/python/cpython/issues/126606.

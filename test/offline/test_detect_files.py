@@ -17,13 +17,8 @@ from sensor_msgs.msg import Image
 from support.compressed_files import claiming_too_much
 from support.detected_offline import SET_MODEL, published, run
 from support.detector_process import Sighting
-from support.recorded_scene import (
-    COUNT,
-    SIZE_HW,
-    images,
-    shown,
-    video,
-)
+from support.recorded_scene import COUNT, SIZE_HW, images, shown, video
+from support.refusals import Refused
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment, segmented, whole_masks
 
@@ -148,26 +143,15 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
     ],
 )
 def test_an_error_with_files_says_why_and_leaves_nothing_behind(
-    source: str,
-    words: list[str],
-    told: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    source: str, words: list[str], told: str, tmp_path: Path, refused: Refused
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     images(tmp_path / "shots")
     video(tmp_path / "drive.avi")
     Path("bad\udcff").mkdir()
     shutil.copy("drive.avi", "bad\udcff/0.avi")
     Path("empty").mkdir()
-    Path("notes.txt").write_text("keep me")
     Path("lines.jsonl").touch()
-    before = sorted(tmp_path.rglob("*"))
-    assert run([source, *SET_MODEL, *words]) == 1
-    assert told in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
-    assert Path("notes.txt").read_text() == "keep me"
+    assert told in refused(run, source, *SET_MODEL, *words)
 
 
 def test_images_may_have_any_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,10 +34,10 @@ from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment, segmented
 from vision_msgs.msg import Detection2DArray, LabelInfo
 
+from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
-from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detecting import OfflineDetector, prepared_for
 from yolov5_lifecycle.offline.export.exporting import Export
@@ -170,21 +170,23 @@ def test_a_recording_has_a_label_image_for_each_array_of_detections(drive: Path,
     assert as_ros(smaller)[1:] == [one for one in written if one[0] != MASKS]
 
 
-def test_a_recording_has_label_images_of_images_without_a_detection(drive: Path, tmp_path: Path) -> None:
-    words = [str(drive), "--output", str(tmp_path / "found"), "--set", "confidence_threshold=1.0"]
-    assert segment(words) == 0
-    found = of_topic(tmp_path / "found", MASKS)
+@pytest.mark.parametrize(
+    ("words", "is_found"),
+    [
+        pytest.param(["--set", "confidence_threshold=1.0"], False, id="without a detection"),
+        pytest.param(["--track", *SET_SEGMENTING], True, id="tracked"),
+    ],
+)
+def test_every_label_image_numbers_the_detections(
+    words: list[str], is_found: bool, drive: Path, tmp_path: Path
+) -> None:
+    assert segment([str(drive), "--output", str(tmp_path / "found"), *words]) == 0
+    arrays, found = (of_topic(tmp_path / "found", topic) for topic in (DETECTIONS, MASKS))
+    assert any(one.id for array in arrays for one in array.detections) == is_found
     assert len(found) == COUNT
-    for message in found:
-        np.testing.assert_array_equal(labels_of(message), np.zeros(SIZE_HW))
-
-
-def test_the_label_images_of_a_tracked_recording_number_its_detections(drive: Path, tmp_path: Path) -> None:
-    assert segment([str(drive), "--output", str(tmp_path / "found"), "--track", *SET_SEGMENTING]) == 0
-    arrays = of_topic(tmp_path / "found", DETECTIONS)
-    assert any(one.id for array in arrays for one in array.detections)
-    for number, masks in enumerate(of_topic(tmp_path / "found", MASKS)):
-        np.testing.assert_array_equal(labels_of(masks), segmented(scene(number)).label_image())
+    for number, masks in enumerate(found):
+        expected = segmented(scene(number)).label_image() if is_found else np.zeros(SIZE_HW)
+        np.testing.assert_array_equal(labels_of(masks), expected)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +211,7 @@ def detector() -> Detector:
 def tracked() -> list[Detections]:
     """What the node finds in the images of the recording, with a tracker."""
     tracking = TrackedDetection(ByteTracker(itertools.count(1)), Settings())
-    chosen = selection(SETTINGS, detector().class_names)
+    chosen = selection_of(SETTINGS, detector().class_names)
     return [tracking.detect(detector(), scene(number), chosen, stamp_s(number)) for number in range(COUNT)]
 
 

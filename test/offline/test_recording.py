@@ -17,6 +17,7 @@ from support.many_recordings import messages, plan_for, result_of
 from support.mcap_bytes import MESSAGE, channel, chunk, mcap, message, statistics
 from support.mcap_bytes import record as mcap_record
 from support.recorded_scene import COMPRESSED, IMAGE, TOPIC, raw, record, recorded_ns
+from support.refusals import Refused
 
 from yolov5_lifecycle import outside_yaml
 from yolov5_lifecycle.images.image import ImageError
@@ -28,7 +29,8 @@ from yolov5_lifecycle.offline.recordings import is_recording
 MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 COUNT = 4
 CAMERA = channel(1, TOPIC, IMAGE)
-CONTENTS = [bytes(TYPES.serialize_cdr(raw(number), IMAGE)) for number in range(COUNT)]
+SHOWN = [raw(number, height=4) for number in range(COUNT)]
+CONTENTS = [bytes(TYPES.serialize_cdr(one, IMAGE)) for one in SHOWN]
 IMAGES = [message(1, recorded_ns(number), data) for number, data in enumerate(CONTENTS)]
 ALL = b"".join(IMAGES)
 STATISTICS = statistics({1: COUNT})
@@ -240,7 +242,7 @@ def metadata_with(text: str, folder: Path) -> Path:
             id="as metadata",
         ),
         pytest.param(
-            partial(metadata_with, " " * (16 << 20) + " "),
+            lambda f: metadata_with(" " * ((16 << 20) + 1), f),
             "metadata.yaml: found more than",
             id="large metadata",
         ),
@@ -294,7 +296,7 @@ def test_a_giant_value_in_a_database_is_rejected_unread(
     ids=str,
 )
 def test_honest_compression_is_read(tmp_path: Path, mode: CompressionMode, storage: StoragePlugin) -> None:
-    bag = record(tmp_path / "bag", [raw(0)], storage=storage, compression=mode)
+    bag = record(tmp_path / "bag", SHOWN[:1], storage=storage, compression=mode)
     assert [image.data for image in images(bag)] == [CONTENTS[0]]
     (file,) = (path for path in bag.iterdir() if path.name != "metadata.yaml")
     assert is_recording(file)
@@ -362,9 +364,5 @@ def test_a_recording_cannot_name_a_database_outside_of_its_folder(sqlite_drive: 
         assert recording.image_topic().count == 1
 
 
-def test_a_name_that_metadata_cannot_hold_is_refused_at_once(
-    drive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run([str(drive), "--output", str(tmp_path / "run\udcff"), *SET_MODEL]) == 1
-    assert "choose another --output" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == [drive]
+def test_a_name_that_metadata_cannot_hold_is_refused_at_once(drive: Path, refused: Refused) -> None:
+    assert "choose another --output" in refused(run, drive, "--output", "run\udcff", *SET_MODEL)

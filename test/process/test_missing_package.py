@@ -52,11 +52,13 @@ def test_a_remedy_has_the_python_and_the_distribution_of_this_environment(
     assert apt_package_of("nav2_msgs") == "ros-kilted-nav2-msgs"
 
 
-def run_without(modules: tuple[str, ...], command: str, *words: str) -> subprocess.CompletedProcess[str]:
+def run_without(
+    modules: tuple[str, ...], command: str, *words: str, where: str = "commands"
+) -> subprocess.CompletedProcess[str]:
     """`command` with the arguments `words`, in a process that cannot import `modules`."""
     program = (
         f"import sys; sys.modules.update(dict.fromkeys({modules!r})); "
-        f"from yolov5_lifecycle.commands.entry_points import {command}; {command}()"
+        f"from yolov5_lifecycle.{where}.entry_points import {command}; {command}()"
     )
     arguments = [sys.executable, "-c", program, *words]
     return subprocess.run(arguments, capture_output=True, text=True, check=False)
@@ -71,8 +73,20 @@ def test_a_command_shows_its_help_without_the_libraries_that_it_needs(command: s
 
 
 @pytest.mark.long
-def test_a_command_that_lacks_a_package_ends_with_one_line() -> None:
-    run = run_without(("torch",), "convert", "a.pt", "b.safetensors")
+@pytest.mark.parametrize(
+    ("where", "command", "package"),
+    [
+        ("commands", "convert", "torch"),
+        ("ros", "detector", "torch"),
+        ("ros", "detector", "rclpy"),
+        ("ros", "camera", "cv2"),
+    ],
+)
+def test_a_command_or_node_that_lacks_a_package_ends_with_one_line(
+    where: str, command: str, package: str
+) -> None:
+    run = run_without((package,), command, "a.pt", "b.safetensors", where=where)
     assert (run.returncode, run.stdout) == (1, "")
     (line,) = run.stderr.splitlines()
-    assert line.startswith(f"convert: {sys.executable} cannot import what is needed")
+    assert line.startswith(f"{command}: {sys.executable} cannot import what is needed")
+    assert package in line.partition(". The node")[0]

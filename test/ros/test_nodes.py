@@ -6,8 +6,6 @@ import os
 import socket
 from collections.abc import Iterator
 from contextlib import closing
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import rclpy
@@ -19,21 +17,9 @@ from support.lone_node import lone_node
 from support.preparations import Preparations
 from support.served_node import ServedNode
 
-from yolov5_lifecycle.ros.nodes import namesakes, spin
+from yolov5_lifecycle.ros.nodes import spin
 from yolov5_lifecycle.ros.observer import Observer
 from yolov5_lifecycle.ros.rclpy_internals import ResilientExecutor
-
-OWN = ("yolov5", "/robot")
-
-
-def graph(names: int) -> Any:
-    """A node among `names` of its name and one of another namespace."""
-    return SimpleNamespace(
-        get_name=lambda: OWN[0],
-        get_namespace=lambda: OWN[1],
-        get_fully_qualified_name=lambda: "/robot/yolov5",
-        get_node_names_and_namespaces=lambda: [OWN] * names + [("yolov5", "/")],
-    )
 
 
 @pytest.fixture
@@ -85,18 +71,16 @@ def test_the_loop_ends_when_another_part_shuts_ros_down(node: Node, executor: Si
     assert not node.context.ok()
 
 
-def test_each_says_where_it_is() -> None:
-    assert namesakes(graph(names=1)) == ""
-    text = namesakes(graph(names=2))
-    own = f"this one (host {socket.gethostname()}, process {os.getpid()}) and another. Requests"
-    assert f"named /robot/yolov5: {own}" in text
-    assert "and 2 others. Requests" in namesakes(graph(names=3))
-
-
-def test_a_detector_warns_in_any_state_while_another_node_has_its_name(ros_domain: int) -> None:
-    with ServedNode(Preparations()) as served:
+def test_a_detector_warns_in_any_state_while_other_nodes_have_its_name(ros_domain: int) -> None:
+    own = f"/yolov5: this one (host {socket.gethostname()}, process {os.getpid()}) and"
+    with (
+        ServedNode(Preparations()) as served,
+        lone_node("yolov5", "--ros-args", "-r", "__ns:=/robot"),  # whose name is another
+    ):
         assert "nodes in this domain" not in served.status().message
         with closing(Observer("yolov5", domain=ros_domain)):
-            served.wait_for_log("2 nodes in this domain are named /yolov5: this one (host ")
+            served.wait_for_log(f"2 nodes in this domain are named {own} another. Requests")
             assert served.status().level == DiagnosticStatus.WARN
-        served.wait_for(lambda: "nodes in this domain" not in served.status().message, "the other to leave")
+            with closing(Observer("yolov5", domain=ros_domain)):
+                served.wait_for(lambda: f"{own} 2 others. Requests" in served.status().message, "both")
+        served.wait_for(lambda: "nodes in this domain" not in served.status().message, "the others to leave")

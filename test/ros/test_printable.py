@@ -26,11 +26,15 @@ JOINERS = "\u200c\u200d"
 LONG = HOSTILE * 3_000
 
 
-@given(st.text(), st.integers(40, 80))
-def test_one_line_is_printable_and_bounded(text: str, limit: int) -> None:
+@given(
+    st.text() | st.text(st.sampled_from("aé👩\u200c\u200d\u202e "), max_size=12),
+    st.integers(40, 80),
+)
+def test_one_line_is_printable_and_bounded_and_nothing_hides_behind_a_joiner(text: str, limit: int) -> None:
     line = in_one_line(text, limit)
     assert is_safe(line)
     assert len(line) <= limit
+    assert in_one_line(line) == line
 
 
 def is_safe(line: str) -> bool:
@@ -43,27 +47,6 @@ def is_safe(line: str) -> bool:
     )
 
 
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        pytest.param("می\u200cشود", "می\u200cشود", id="Persian"),
-        pytest.param("c\u200dat", "c?at", id="between ASCII"),
-        pytest.param("\u200cé", "?é", id="at the beginning"),
-        pytest.param("é\u200d\u200dé", "é??é", id="two"),
-        pytest.param("é\u200bé", "é?é", id="another character without width"),
-    ],
-)
-def test_a_joiner_is_kept_where_it_joins(text: str, shown: str) -> None:
-    assert in_one_line(text) == shown
-
-
-@given(st.text(st.sampled_from("aé👩\u200c\u200d\u202e "), max_size=12))
-def test_nothing_hides_behind_a_joiner(text: str) -> None:
-    line = in_one_line(text)
-    assert is_safe(line)
-    assert in_one_line(line) == line
-
-
 @given(st.text(st.sampled_from("a \n\r\t\x1b\u2028\x0b\x85"), max_size=300), st.integers(40, 80))
 def test_later_lines_are_printable_indented_and_bounded(text: str, limit: int) -> None:
     lines = in_lines(text, limit).split("\n")
@@ -74,6 +57,7 @@ def test_later_lines_are_printable_indented_and_bounded(text: str, limit: int) -
 
 def test_harmless_text_is_unchanged_and_a_long_one_is_cut_with_its_length() -> None:
     assert in_one_line("größer als 3\n") == "größer als 3"
+    assert in_one_line("می\u200cشود") == "می\u200cشود", "a joiner of Persian"
     assert in_lines("one\n  two\n\tthree") == "one\n  two\n    three"
     assert in_lines("one\ntwo\n  three") == "one\n  two\n    three"
     assert in_one_line("x" * 300_000).endswith("... (300000 characters)")

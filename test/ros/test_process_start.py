@@ -9,7 +9,6 @@ import sys
 from importlib.metadata import version
 
 import pytest
-from support.colcon_workspace import REPOSITORY
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 
@@ -59,24 +58,3 @@ def test_too_few_threads_are_said_in_one_line() -> None:
     (line,) = run.stderr.splitlines()
     assert line.startswith("detector: ")
     assert "threads are needed, 1 can be started: raise the limit of processes (`ulimit -u`" in line
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("command", "package"),
-    [
-        ("detector", "torch"),
-        ("detector", "rclpy"),
-        ("camera", "cv2"),
-    ],
-)
-def test_a_python_that_lacks_a_package_is_named_in_one_line(command: str, package: str) -> None:
-    without = f"import sys; sys.modules['{package}'] = None"
-    program = f"{without}; from yolov5_lifecycle.ros.entry_points import {command}; {command}()"
-    run = subprocess.run(
-        [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
-    )
-    assert (run.returncode, run.stdout) == (1, "")
-    (line,) = run.stderr.splitlines()
-    assert line.startswith(f"{command}: {sys.executable} cannot import")
-    assert package in line.partition(". The node")[0]

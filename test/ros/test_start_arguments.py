@@ -85,13 +85,6 @@ def test_bad_files_are_left_out_and_the_others_kept(tmp_path: Path) -> None:
     assert given.own_words == ["--params-file", "x", "--params-file", "y"]
 
 
-def test_a_file_that_only_ros_refuses_is_an_error_in_its_words(ros_domain: int, path: Path) -> None:
-    path.write_text("%YAML 1.2\n---\n/**: {ros__parameters: {a: 1}}")  # rcl's libyaml is older than PyYAML's
-    given = start_arguments(["detector", "--ros-args", "--params-file", str(path)])
-    with pytest.raises(RuntimeError, match=rf"{path}'. Error: Error parsing a event near line 1$"):
-        initialize(given.words)
-
-
 @pytest.mark.parametrize(
     ("first", "second", "told"),
     [
@@ -112,11 +105,23 @@ def test_values_of_two_types_for_one_name_are_a_problem(
     assert all(re.search(told, problem) for problem in problems)
 
 
-def test_other_words_that_ros_refuses_are_an_error(ros_domain: int, path: Path) -> None:
-    path.write_text("")
-    words = ["detector", "--ros-args", "--params-file", str(path), "--no-such-word"]
-    with pytest.raises(RuntimeError, match="no-such-word"):
-        initialize(start_arguments(words).words)
+@pytest.mark.parametrize(
+    ("text", "word", "told"),
+    [
+        # rcl's libyaml is older than PyYAML's
+        pytest.param(
+            "%YAML 1.2\n---\n/**: {}", "", "{path}'. Error: Error parsing a event near line 1$", id="file"
+        ),
+        pytest.param("", "--no-such-word", "no-such-word", id="word"),
+    ],
+)
+def test_what_only_ros_refuses_is_an_error_in_its_words(
+    ros_domain: int, path: Path, text: str, word: str, told: str
+) -> None:
+    path.write_text(text)
+    given = start_arguments(["detector", "--ros-args", "--params-file", str(path), *filter(None, [word])])
+    with pytest.raises(RuntimeError, match=told.format(path=path)):
+        initialize(given.words)
 
 
 def test_an_argument_that_is_no_utf8_is_an_error() -> None:

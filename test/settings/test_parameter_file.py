@@ -14,7 +14,6 @@ from yolov5_lifecycle.settings.parameter_file import (
     assigned_value,
     file_values,
 )
-from yolov5_lifecycle.settings.settings import validated
 
 
 @pytest.fixture
@@ -37,6 +36,12 @@ def path(tmp_path: Path) -> Path:
             "/b",
             {"wheels": 4},
             id="ROS's own",
+        ),
+        pytest.param(
+            "b: {ros__parameters: {device: 1, front: {classes: [0], lazy: true}, front.max_rate: 2}}",
+            "/b",
+            {"device": "1", "front.classes": ["0"], "front.lazy": True, "front.max_rate": 2},
+            id="types of settings, nested or dotted",
         ),
     ],
 )
@@ -87,22 +92,6 @@ def test_a_file_that_the_node_cannot_use_is_an_error(path: Path, text: str, told
     path.write_bytes(text.encode(errors="surrogateescape"))
     with pytest.raises(ParameterFileError, match=told):
         file_values(path, "/a/yolov5")
-
-
-def test_overrides_for_cameras_are_nested_or_dotted(path: Path) -> None:
-    path.write_text(
-        "/**:\n  ros__parameters:\n    cameras: [front, rear]\n    front: {max_rate: 5, classes: [0]}\n"
-        "    rear.max_rate: 2\n    rear:\n      classes: []\n"
-    )
-    values = file_values(path, "/a/yolov5")
-    assert values == {
-        "cameras": ["front", "rear"],
-        "front.max_rate": 5.0,
-        "front.classes": ["0"],
-        "rear.max_rate": 2.0,
-        "rear.classes": [],
-    }
-    assert validated(values).for_camera("front").classes == ("0",)
 
 
 @pytest.mark.parametrize(

@@ -74,11 +74,6 @@ def test_an_unknown_name_is_shown_in_one_short_line() -> None:
     assert len(problem) < 200
 
 
-def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(SettingsError, match=r"confidence_treshold: .*Did you mean 'confidence_threshold'"):
-        validated({"confidence_treshold": 0.5})
-
-
 def test_a_parameter_name_of_another_node_is_answered_with_ours() -> None:
     assert set(SYNONYMS.values()) <= set(SETTINGS_BY_NAME)
     assert not (SYNONYMS.keys() | NOT_SETTINGS) & SETTINGS_BY_NAME.keys()

@@ -84,19 +84,18 @@ def test_a_device_is_read_at_its_own_pace_and_what_is_too_much_is_dropped(
     assert (numbers(shown[:3]) == [0, 1, 2]) is is_every_one_shown
 
 
-def test_nothing_is_shown_before_it_is_awaited() -> None:
+def one_frame() -> ImageSource:
+    return ImageSource(map(frame, range(1)), 1000.0)
+
+
+def test_nothing_is_shown_before_it_is_awaited_and_what_nobody_awaits_can_be_stopped() -> None:
     awaited, shown = threading.Event(), threading.Event()
-    source = ImageSource(map(frame, range(1)), 1000.0)
-    with playback(lambda: source, lambda _: shown.set(), is_awaited=awaited.is_set) as playing:
+    with playback(one_frame, lambda _: shown.set(), is_awaited=awaited.is_set) as playing:
         assert not shown.wait(0.1)
         awaited.set()
         wait_for_end(playing)
     assert shown.is_set()
-
-
-def test_playback_that_nobody_awaits_can_be_stopped() -> None:
-    source = ImageSource(map(frame, range(1)), 1000.0)
-    with playback(lambda: source, is_awaited=lambda: False) as playing:
+    with playback(one_frame, is_awaited=lambda: False) as playing:
         assert not playing.is_finished
 
 

@@ -12,10 +12,10 @@ from vision_msgs.msg import Detection2DArray
 
 from support.colcon_workspace import REPOSITORY
 from support.scripted_runtime import ScriptedRuntime
+from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel, prepare_model
-from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.settings.settings import Settings
@@ -48,7 +48,7 @@ def published(message: Image | CompressedImage) -> tuple[Detection2DArray, Image
     settings = Settings.model_validate(MODEL)
     detector = prepare_once(settings, (USUAL_SOURCE_HW,)).detector
     image = messages.image_of_message(message)
-    detections = detector.detect(image, selection(settings, detector.class_names))
+    detections = detector.detect(image, selection_of(settings, detector.class_names))
     drawn = annotate(image, detections, detector.class_names)
     return (
         messages.detection_array(detections, detector.class_names, message.header),

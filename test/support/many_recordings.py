@@ -30,13 +30,6 @@ def record_drives(folder: Path, lengths: dict[str, int]) -> Path:
     return folder
 
 
-def broken(folder: Path, name: str) -> Path:
-    """A folder that looks like a recording and is none."""
-    (folder / name).mkdir()
-    (folder / name / f"{name}.mcap").write_bytes(b"these are no messages")
-    return folder / name
-
-
 def plan_for(output: Path, *, suffix: str = "", crops: bool = False, **settings: object) -> Plan:
     """The embedded model with `settings`."""
     export = Export(None, suffix, crops=Path("crops") if crops else None)

@@ -37,8 +37,9 @@ def stamp_s(number: int) -> int:
     return 1_700_000_000 + number
 
 
-def raw(number: int, *, encoding: str = "rgb8") -> Any:
-    height, width = SIZE_HW
+def raw(number: int, *, encoding: str = "rgb8", height: int = SIZE_HW[0]) -> Any:
+    """The upper `height` rows of the scene."""
+    width = SIZE_HW[1]
     return _new(
         IMAGE,
         header=_header(number),
@@ -47,7 +48,7 @@ def raw(number: int, *, encoding: str = "rgb8") -> Any:
         encoding=encoding,
         is_bigendian=0,
         step=3 * width,
-        data=shown(number)[0].reshape(-1),
+        data=shown(number)[0][:height].reshape(-1),
     )
 
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from support.random_model import random_model
 from support.reference_masks import whole_mask
 from support.small_families import SMALL_FAMILIES
+from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.prepared_model import PreparedModel, load_detector
-from yolov5_lifecycle.detection.selection import selection
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.settings.settings import Settings
@@ -43,7 +43,7 @@ segment = functools.partial(main, prepare=_prepare)
 def segmented(image: ColourImage) -> Detections:
     """What the model finds in `image`, with masks."""
     detector = segmenting_detector()
-    return detector.detect(image, replace(selection(SETTINGS, detector.class_names), with_masks=True))
+    return detector.detect(image, replace(selection_of(SETTINGS, detector.class_names), with_masks=True))
 
 
 def whole_masks(found: Detections) -> NDArray[np.bool_]:

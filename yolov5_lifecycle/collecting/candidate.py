@@ -20,9 +20,9 @@ from yolov5_lifecycle.collecting.collected_files import (
     shades_text,
 )
 from yolov5_lifecycle.collecting.descriptors import Embedding, Shades, shades_of
+from yolov5_lifecycle.detection.class_filter import class_ids
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.nms import WORTH_TELLING, Selection
-from yolov5_lifecycle.detection.selection import class_ids
 from yolov5_lifecycle.images.compressed import encode_jpeg
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import BoxFilter, Region
@@ -119,8 +119,8 @@ class CollectRules:
         """Which objects make an image worth keeping in which `found` was found with `extended`."""
         if Trigger.UNCERTAIN in self.triggers and (uncertain := self._uncertain(found)):
             yield Trigger.UNCERTAIN, uncertain
-        is_admitted = self.selection.admits(found.scores, found.class_ids)
-        if listed := self.classes.intersection(found.class_ids[is_admitted].tolist()):
+        is_above = self.selection.above_thresholds(found.scores, found.class_ids)
+        if listed := self.classes.intersection(found.class_ids[is_above].tolist()):
             yield Trigger.CLASS, Detail(", ".join(self.class_names[class_id] for class_id in sorted(listed)))
 
     def _uncertain(self, found: Detections) -> Detail | None:

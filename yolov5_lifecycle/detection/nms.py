@@ -33,7 +33,7 @@ class Selection:
     class_thresholds: tuple[tuple[int, float], ...] = ()
     """Class ids, each once, and their own thresholds."""
     extra_threshold: float | None = None
-    """Scores above it are reported, too, after those that the thresholds admit; see `wider`."""
+    """Scores above it are reported, too, after those above their thresholds; see `wider`."""
     iou_threshold: float = 0.45
     max_detections: int = 1000
     classes: frozenset[int] | None = None
@@ -64,11 +64,18 @@ class Selection:
         """Minimum objectness of a prediction that can become a detection or `best_missed`."""
         return min(self.min_score, WORTH_TELLING)
 
-    def admits(self, scores: NDArray[np.float32], class_ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def above_thresholds(
+        self, scores: NDArray[np.float32], class_ids: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
         """Which of the detections (n,) score above the threshold of their class."""
         if not self.class_thresholds:
             return scores > self.confidence_threshold
         return scores > self.thresholds(class_ids)
+
+    def reports(self, scores: NDArray[np.float32], class_ids: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the detections (n,) are above their threshold, or the extra one."""
+        reported = self.above_thresholds(scores, class_ids)
+        return reported if self.extra_threshold is None else reported | (scores > self.extra_threshold)
 
     def thresholds(self, class_ids: NDArray[np.int64]) -> NDArray[np.float32]:
         """The threshold (n,) of each class."""
@@ -109,8 +116,8 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
     best_filtered = 0.0
     if counted is not None:
         dropped = found.at(~counted)
-        is_admitted = selection.admits(dropped.scores, dropped.class_ids)
-        best_filtered = float(dropped.scores[is_admitted].max(initial=0.0))
+        is_above = selection.above_thresholds(dropped.scores, dropped.class_ids)
+        best_filtered = float(dropped.scores[is_above].max(initial=0.0))
     kept = suppress(
         boxes_xyxy,
         groups=np.zeros_like(found.class_ids) if selection.agnostic_nms else found.class_ids,
@@ -132,13 +139,11 @@ def select(raw: NDArray[np.float32], selection: Selection, counts: Counts | None
 def narrowed(detections: Detections, selection: Selection) -> Detections:
     """Those of `detections` that `selection` reports: they were found with a wider one.
 
-    In NMS no lower score removes a higher one, and none that is not admitted removes an admitted one, so
+    In NMS no lower score removes a higher one, and none below its threshold removes one above its own, so
     these are the same as with `selection` alone. Without any, `best_missed` is the highest score worth
     reporting, as it would be there.
     """
-    is_reported = selection.admits(detections.scores, detections.class_ids)
-    if selection.extra_threshold is not None:
-        is_reported |= detections.scores > selection.extra_threshold
+    is_reported = selection.reports(detections.scores, detections.class_ids)
     best_missed = detections.best_missed
     if not is_reported.any() and len(detections) and detections.scores[0] > WORTH_TELLING:
         best_missed = float(detections.scores[0])
@@ -176,11 +181,9 @@ def _in_order(found: _Candidates, selection: Selection) -> _Candidates:
     """
     if not selection.class_thresholds:
         return found.at(np.argsort(-found.scores, kind="stable")[:MAX_CANDIDATES])
-    is_wanted = is_admitted = selection.admits(found.scores, found.class_ids)
-    if selection.extra_threshold is not None:
-        is_wanted = is_admitted | (found.scores > selection.extra_threshold)
-    found, is_admitted = found.at(is_wanted), is_admitted[is_wanted]
-    return found.at(np.lexsort((-found.scores, ~is_admitted))[:MAX_CANDIDATES])
+    found = found.at(selection.reports(found.scores, found.class_ids))
+    is_above = selection.above_thresholds(found.scores, found.class_ids)
+    return found.at(np.lexsort((-found.scores, ~is_above))[:MAX_CANDIDATES])
 
 
 def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts | None) -> float:
@@ -190,7 +193,7 @@ def _best_missed(raw: NDArray[np.float32], selection: Selection, counts: Counts 
     """
     found = _scored(raw, WORTH_TELLING, selection.classes)
     if counts is not None:
-        below = found.at(~selection.admits(found.scores, found.class_ids))
+        below = found.at(~selection.above_thresholds(found.scores, found.class_ids))
         found = below.at(np.argsort(-below.scores, kind="stable")[:MAX_CANDIDATES])
         found = found.at(counts(cxcywh_to_xyxy(raw[found.rows, :4])))
     return float(found.scores.max(initial=0.0))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
+from yolov5_lifecycle.detection.class_filter import model_problems, selection_of
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW, Detector
 from yolov5_lifecycle.detection.prepared_model import prepare_model
-from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import SETTINGS_BY_NAME, validated
 
@@ -47,5 +47,5 @@ def load_model(
     if problems := model_problems(settings, model.detector.class_names):
         model.close()
         raise SettingsError(problems)
-    model.detector.selection = selection(settings, model.detector.class_names)
+    model.detector.selection = selection_of(settings, model.detector.class_names)
     return model.detector

@@ -12,11 +12,11 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.detection.class_filter import model_problems, selection_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.draw import annotate
 from yolov5_lifecycle.detection.prepared_model import FixedSizeError, Prepare, PreparedModel
-from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 from yolov5_lifecycle.settings.schema import SettingsError
@@ -127,7 +127,7 @@ class OfflineDetector:
         self._observer = observer
         self._detector = prepared.detector
         self.class_names = self._detector.class_names
-        self._selection = replace(selection(settings, self.class_names), with_masks=with_masks)
+        self._selection = replace(selection_of(settings, self.class_names), with_masks=with_masks)
         self._stamps = StampCounts()
         self._tracking = TrackedDetection.started(settings, itertools.count(1), self._stamps)
         self._failures = 0

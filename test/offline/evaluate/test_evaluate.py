@@ -27,7 +27,7 @@ from support.evaluated_offline import (
 )
 from support.onnx_exports import small_export
 
-from yolov5_lifecycle.detection.selection import selection
+from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.settings.parameter_file import read_parameter_file
@@ -104,7 +104,7 @@ def test_detections_above_the_threshold_are_those_of_the_node(evaluated: Path, d
         update={"confidence_threshold": MIN_CONFIDENCE}
     )
     detector = prepare_once(settings, ((480, 640),)).detector
-    chosen = selection(Settings(confidence_threshold=0.25), detector.class_names)
+    chosen = selection_of(Settings(confidence_threshold=0.25), detector.class_names)
     written = json.loads((evaluated / "detections.json").read_text())
     for number, path in enumerate(sorted((data / "images" / "val").iterdir()), start=1):
         found = detector.detect(ColourImage(cv2.imread(str(path)), "bgr"), chosen)

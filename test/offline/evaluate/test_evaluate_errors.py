@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -15,6 +16,7 @@ from support.compressed_files import claiming_too_much
 from support.detected_offline import prepare_raising
 from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, report_of, run, shapes
 from support.recorded_scene import raw, record
+from support.refusals import Refused
 
 from yolov5_lifecycle.offline.evaluate import evaluating
 from yolov5_lifecycle.offline.evaluate.command import main
@@ -93,16 +95,9 @@ def a_recording(folder: Path) -> Path:
     ],
 )
 def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
-    make: Callable[[Path], Path], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make: Callable[[Path], Path], reason: str, tmp_path: Path, refused: Refused
 ) -> None:
-    source = make(tmp_path)
-    before = sorted(tmp_path.iterdir())
-    assert evaluate(source, "--output", str(tmp_path / "out")) == 1
-    output, error = capsys.readouterr()
-    assert output == ""
-    assert reason in error
-    assert "Traceback" not in error
-    assert sorted(tmp_path.iterdir()) == before
+    assert reason in refused(run, WEIGHTS, make(tmp_path), *FAST, "--output", "out")
 
 
 @pytest.mark.long
@@ -122,16 +117,9 @@ def test_data_of_which_nothing_can_be_used_ends_it_with_a_reason(
     ],
 )
 def test_a_wrong_argument_ends_it_with_a_reason(
-    words: list[str],
-    reason: str,
-    data: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], reason: str, data: Path, refused: Refused
 ) -> None:
-    monkeypatch.chdir(data.parent)
-    assert evaluate(data, *words) == 1
-    assert reason in capsys.readouterr().err
-    assert list(data.parent.iterdir()) == [data]
+    assert reason in refused(run, WEIGHTS, data, *FAST, *words)
 
 
 @pytest.mark.long
@@ -152,35 +140,26 @@ def test_a_wrong_argument_ends_it_with_a_reason(
     ],
 )
 def test_a_wrong_command_line_ends_it_with_2(
-    words: list[str], reason: str, data: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], reason: str, data: Path, refused: Refused
 ) -> None:
-    with pytest.raises(SystemExit) as end:
-        evaluate(data, *words)
-    assert end.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert reason in line
+    assert reason in refused.in_a_line(run, WEIGHTS, data, *FAST, *words, code=2)
 
 
-def test_an_option_of_other_data_ends_it_with_2(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        evaluate(as_coco(data), "--split", "val")
-    assert end.value.code == 2
-    assert "--split does not apply to " in capsys.readouterr().err
+def test_an_option_of_other_data_ends_it_with_2(data: Path, refused: Refused) -> None:
+    told = refused(run, WEIGHTS, as_coco(data), "--split", "val", code=2)
+    assert "--split does not apply to " in told
 
 
-def test_inference_that_fails_again_and_again_ends_it(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [WEIGHTS, str(data), "--set", "max_consecutive_failures=2", "--output", str(data.parent / "out")]
-    assert main(words, prepare=prepare_raising(InferenceError("out of memory"))) == 1
-    error = capsys.readouterr().err
-    assert "evaluate: stopped after 2 consecutive failed images: out of memory\n" in error
-    assert list(data.parent.iterdir()) == [data]
+def test_inference_that_fails_again_and_again_ends_it(data: Path, refused: Refused) -> None:
+    raising = partial(main, prepare=prepare_raising(InferenceError("out of memory")))
+    told = refused(raising, WEIGHTS, data, "--set", "max_consecutive_failures=2", "--output", "out")
+    assert "evaluate: stopped after 2 consecutive failed images: out of memory\n" in told
 
 
-def test_an_interrupt_leaves_nothing_half_written(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [WEIGHTS, str(data), "--output", str(data.parent / "out")]
-    assert main(words, prepare=prepare_raising(KeyboardInterrupt())) == 130
-    assert capsys.readouterr().err == "evaluate: interrupted; unfinished output was removed\n"
-    assert list(data.parent.iterdir()) == [data]
+def test_an_interrupt_leaves_nothing_half_written(data: Path, refused: Refused) -> None:
+    raising = partial(main, prepare=prepare_raising(KeyboardInterrupt()))
+    told = refused(raising, WEIGHTS, data, "--output", "out", code=130)
+    assert told == "evaluate: interrupted; unfinished output was removed\n"
 
 
 @pytest.mark.long
@@ -199,8 +178,7 @@ def test_the_name_of_a_weights_file_is_not_interpreted(data: Path, monkeypatch: 
     ],
 )
 def test_what_pycocotools_would_have_to_hold_is_limited(
-    name: str, told: str, data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, told: str, data: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     monkeypatch.setattr(evaluating, name, 2)
-    assert evaluate(data) == 1
-    assert told in capsys.readouterr().err
+    assert told in refused(run, WEIGHTS, data, *FAST)

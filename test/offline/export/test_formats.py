@@ -19,6 +19,7 @@ from pycocotools.coco import COCO
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, run
 from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, stamp_s, video
+from support.refusals import Refused
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
 from support.segmented_offline import segment
 
@@ -173,27 +174,19 @@ def test_the_default_are_lines_and_the_case_of_a_suffix_makes_no_difference(
     ],
 )
 def test_an_interrupted_export_leaves_nothing(
-    suffix: str,
-    source: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    suffix: str, source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     path = SOURCES[source](tmp_path)
     monkeypatch.setattr(Terminal, "progress", Mock(side_effect=[None, KeyboardInterrupt]))
-    assert run([str(path), "--output", str(tmp_path / f"found{suffix}"), "--crops", *SET_MODEL]) == 130
-    assert capsys.readouterr().err == "detect_bag: interrupted; unfinished output was removed\n"
-    assert list(tmp_path.iterdir()) == [path]
+    told = refused(run, path, "--output", f"found{suffix}", "--crops", *SET_MODEL, code=130)
+    assert told == "detect_bag: interrupted; unfinished output was removed\n"
 
 
-def test_two_images_of_one_name_are_refused_in_yolo_text(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_images_of_one_name_are_refused_in_yolo_text(tmp_path: Path, refused: Refused) -> None:
     source = images(tmp_path / "shots")
     shutil.copy(source / "1.png", source / "1.bmp")
-    assert run([str(source), "--output", str(tmp_path / "found.yolo"), *SET_MODEL]) == 1
-    assert "1: 2 images have this name, but YOLO text has one file for each" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == [source]
+    told = refused(run, source, "--output", "found.yolo", *SET_MODEL)
+    assert "1: 2 images have this name, but YOLO text has one file for each" in told
 
 
 def test_images_of_one_stamp_are_told_apart(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import pytest
 from support.detected_offline import SET_MODEL, run
 from support.many_recordings import (
     LONG,
-    broken,
     found_objects,
     messages,
     plan_for,
@@ -40,7 +39,8 @@ LENGTHS = {"east": COUNT, "north": 4}
 def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two recordings, a broken one, a video and something else."""
     folder = record_drives(tmp_path_factory.mktemp("recorded") / "drives", LENGTHS)
-    broken(folder, "south")
+    (folder / "south").mkdir()
+    (folder / "south" / "south.mcap").write_bytes(b"these are no messages")
     video(folder / "film.avi")
     (folder / "notes.txt").write_text("nothing")
     return folder

@@ -16,6 +16,7 @@ from support.detected_offline import SET_MODEL, prepare_once
 from support.many_recordings import plan_for, record_drives, result_of, rows
 from support.onnx_exports import small_export
 from support.recorded_scene import raw, record, video
+from support.refusals import Refused
 
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.detecting import DetectingError
@@ -54,14 +55,10 @@ def test_what_was_made_from_something_else_is_not_replaced(drives: Path, tmp_pat
     assert {path: path.read_bytes() for path in east.iterdir()} == before
 
 
-def test_a_summary_of_somebody_else_is_not_replaced(
-    drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_summary_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "summary.json").touch()
-    assert main([str(drives), "--output", str(tmp_path), *SET_MODEL]) == 1
     told = f"{tmp_path / 'summary.json'} is not a summary of detect_bag: move it, or choose another --output."
-    assert told in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+    assert told in refused(main, drives, "--output", tmp_path, *SET_MODEL)
 
 
 def test_another_calibration_makes_other_results_in_int8_only(tmp_path: Path) -> None:

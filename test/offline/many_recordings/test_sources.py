@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.refusals import Refused
 
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.recordings import are_many, recordings_of
@@ -95,6 +96,7 @@ def test_one_recording_is_one_unless_it_is_named_as_many(sources: list[str], man
     assert are_many(list(map(Path, sources))) == many
 
 
-def test_a_pattern_in_quotes_is_told_to_go_without(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["monday/*", "--output", "new"]) == 1
-    assert "monday/*: file or folder not found; leave out quotes around a pattern" in capsys.readouterr().err
+@pytest.mark.usefixtures("home")
+def test_a_pattern_in_quotes_is_told_to_go_without(refused: Refused) -> None:
+    told = refused(main, "monday/*", "--output", "new")
+    assert "monday/*: file or folder not found; leave out quotes around a pattern" in told

@@ -40,11 +40,6 @@ def folder(tmp_path: Path) -> Path:
     return grey_folder(tmp_path)
 
 
-@pytest.fixture
-def video(tmp_path: Path) -> Path:
-    return grey_video(tmp_path / "video.avi")
-
-
 @pytest.mark.parametrize("encoding", get_args(CameraSettings.model_fields["encoding"].annotation))
 @pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
 def test_what_is_encoded_is_decoded_to_the_same_colours(channel_order: ChannelOrder, encoding: str) -> None:
@@ -104,41 +99,30 @@ def together(*received: dict[int, Any]) -> list[int]:
     return sorted(set.intersection(*map(set, received)))
 
 
-@pytest.mark.end_to_end
-def test_the_scene_is_published_with_its_truth_until_a_signal(observer: Observer, ros_domain: int) -> None:
-    images = collected(observer, Image, "/image_raw")
-    unreliable = collected(observer, Image, "/image_raw", BEST_EFFORT)
-    truths = collected(observer, Detection2DArray, "/camera/truth")
-    parameters = {"width": 160, "height": 120, "seed": 4, "encoding": "bgr8", "frame_id": "lens"}
-    with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        observer.wait_for(
-            lambda: len(together(images, truths)) >= 5 and bool(unreliable), "images and their truths"
-        )
-        assert camera.stop(signal.SIGTERM) == 0
-    scene = Scene(4, (120, 160))
-    index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
-    stamps = together(images, truths)
-    indices = [index_of[image_of_message(images[stamp]).pixels[..., ::-1].tobytes()] for stamp in stamps]
-    assert indices == sorted(set(indices))
-    for stamp, index in zip(stamps, indices, strict=True):
-        image, told, truth = images[stamp], Sighting.of(truths[stamp]), scene.frame(index)[1]
-        assert (image.encoding, image.step, image.header.frame_id) == ("bgr8", 480, "lens")
-        assert told.class_names == tuple(CLASS_NAMES[class_id] for class_id in truth.class_ids)
-        assert np.allclose(told.boxes_xyxy, truth.boxes_xyxy, atol=1e-3)
-
-
-def test_a_video_played_once_reaches_a_subscriber_completely(
-    observer: Observer, ros_domain: int, video: Path
+def test_a_video_played_once_reaches_a_subscriber_completely_and_nothing_more_is_known_of_it(
+    observer: Observer, ros_domain: int, tmp_path: Path
 ) -> None:
-    images: list[Image] = []
-    observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)
+    images, published = list[Image](), set[str]()
+    masks = collected(observer, Image, "/camera/ground_truth_masks")
+    infos = collected(observer, CameraInfo, "/camera_info")
+    observer.create_subscription(Image, "/image_raw", images.append, RELIABLE)  # for which the camera waits
+
+    def is_complete() -> bool:
+        published.update(name for name, _ in observer.get_topic_names_and_types())
+        return len(images) == len(infos) == len(GREYS)
+
+    video = grey_video(tmp_path / "video.avi")
     arguments = as_arguments({"source": str(video), "loop": "false", "rate": 1000})
     with camera_process(ros_domain, "--ros-args", *arguments) as camera:
-        observer.wait_for(lambda: len(images) == len(GREYS), "every image")
+        observer.wait_for(is_complete, "every image")
         assert camera.wait(PATIENCE_S) == 0
     assert [nearest_grey(image_of_message(image)) for image in images] == [*GREYS]
     assert "waiting for a subscriber to /image_raw\n" in camera.output
     assert "publishing 32 x 24 (rgb8) at 1000 images per second on /image_raw\n" in camera.output
+    assert not masks
+    assert "/camera/truth" in published
+    assert not {name for name in published if "depth" in name or "3d" in name}
+    assert {tuple(info.k) for info in infos.values()} == {(0.0,) * 9}, "not calibrated"
 
 
 TOPICS = {
@@ -157,32 +141,39 @@ def ids_of(message: Detection2DArray | Detection3DArray) -> list[str]:
     return [detection.id for detection in message.detections]
 
 
-@pytest.mark.long
-def test_all_that_is_known_of_an_image_has_its_header_on_the_remapped_topics(
+@pytest.mark.end_to_end
+def test_the_scene_is_published_with_all_that_is_known_of_it_until_a_signal(
     observer: Observer, ros_domain: int
 ) -> None:
+    """Each message has the header of its image, on topics that follow the remapping."""
     received = [collected(observer, kind, topic, BEST_EFFORT) for topic, kind in TOPICS.items()]
-    parameters = {"width": 160, "height": 120, "seed": 4, "frame_id": "lens"}
+    parameters = {"width": 160, "height": 120, "seed": 4, "encoding": "bgr8", "frame_id": "lens"}
     parameters |= {
         "depth": True,
         "image_transport": "both",
         "qos_overrides./front/image_raw.publisher.reliability": "best_effort",
     }
-    with camera_process(
-        ros_domain, "--ros-args", "-r", "image_raw:=/front/image_raw", *as_arguments(parameters)
-    ):
+    words = ["--ros-args", "-r", "image_raw:=/front/image_raw", *as_arguments(parameters)]
+    with camera_process(ros_domain, *words) as camera:
         observer.wait_for(lambda: len(together(*received)) >= 3, "messages on every topic")
         (publisher,) = observer.get_publishers_info_by_topic("/front/image_raw")
+        assert camera.stop(signal.SIGTERM) == 0
     assert publisher.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
     scene = Scene(4, (120, 160))
     space = SceneDepth(4, scene)
     index_of = {scene.frame(index)[0].tobytes(): index for index in range(1000)}
-    for stamp in together(*received):
+    stamps = together(*received)
+    indices = [index_of[image_of_message(received[0][at]).pixels[..., ::-1].tobytes()] for at in stamps]
+    assert indices == sorted(set(indices))
+    for stamp, index in zip(stamps, indices, strict=True):
         raw, jpeg, info, depth, depth_info, truth, masks, places = (each[stamp] for each in received)
-        index = index_of[image_of_message(raw).pixels.tobytes()]
         assert all(each[stamp].header == raw.header for each in received)
         assert (raw.header.frame_id, depth.encoding, masks.encoding) == ("lens", "16UC1", "16UC1")
-        assert jpeg == jpeg_message(image_of_message(raw), "rgb8", raw.header)
+        assert (raw.encoding, raw.step) == ("bgr8", 480)
+        assert jpeg == jpeg_message(image_of_message(raw), "bgr8", raw.header)
+        told, known = Sighting.of(truth), scene.frame(index)[1]
+        assert told.class_names == tuple(CLASS_NAMES[class_id] for class_id in known.class_ids)
+        assert np.allclose(told.boxes_xyxy, known.boxes_xyxy, atol=1e-3)
         assert info == depth_info
         assert (intrinsics_of_message(info).size_hw, intrinsics_of_message(info).fx) == ((120, 160), 160)
         expected = space.frame(index)
@@ -195,23 +186,6 @@ def test_all_that_is_known_of_an_image_has_its_header_on_the_remapped_topics(
         labels = np.frombuffer(bytes(masks.data), "<u2").reshape(masks.height, masks.width)
         outlines = [shape.outline() for shape in scene.shapes(index)]
         np.testing.assert_array_equal(labels, label_image(outlines, (120, 160)))
-
-
-@pytest.mark.long
-def test_of_files_nothing_more_is_known_and_camera_info_is_not_calibrated(
-    observer: Observer, ros_domain: int, folder: Path
-) -> None:
-    images, masks, infos = (
-        collected(observer, Image, "/image_raw"),
-        collected(observer, Image, "/camera/ground_truth_masks"),
-        collected(observer, CameraInfo, "/camera_info"),
-    )
-    with camera_process(ros_domain, "--ros-args", *as_arguments({"source": str(folder)})):
-        observer.wait_for(lambda: len(together(images, infos)) >= len(GREYS), "images")
-        published = {name for name, _ in observer.get_topic_names_and_types()}
-    assert not masks
-    assert not {name for name in published if "depth" in name or "3d" in name}
-    assert {tuple(info.k) for info in infos.values()} == {(0.0,) * 9}
 
 
 def test_what_nobody_subscribes_to_is_not_encoded(

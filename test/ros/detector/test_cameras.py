@@ -274,7 +274,9 @@ def test_each_camera_may_have_a_transport_and_a_reliability_of_its_own(prepare: 
         assert rear.values()["image reliability"] == "best_effort"
 
 
-def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone(prepare: Preparations) -> None:
+def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone_until_their_subscriber_leaves(
+    prepare: Preparations,
+) -> None:
     model = SegmentingModel(prepare)
     with active(prepare, *PARAMETERS) as served:
         front, rear = (CameraClient(served, name, size_hw=SIZE_HW) for name in CAMERAS)
@@ -285,3 +287,11 @@ def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone(prepar
         before = model.computed
         assert class_ids_of(rear.see()) == ["cat", "dog"]
         assert model.computed == before
+        masks.leave()
+
+        def is_detected_without_masks() -> bool:
+            before = model.computed
+            front.see()
+            return model.computed == before
+
+        served.wait_for(is_detected_without_masks, "the node to compute no masks")

@@ -71,7 +71,8 @@ def test_a_kept_image_has_the_detections_that_were_published(tmp_path: Path) -> 
 
 
 def test_detections_are_the_same_with_and_without_collecting(tmp_path: Path) -> None:
-    with served_with(tmp_path, *EVERYTHING) as served:
+    uncertain = "confidence_threshold:=0.85"  # lower scores are found for collecting, too
+    with served_with(tmp_path, *EVERYTHING, uncertain) as served:
         served.bring_to("active")
         for tracker in ("none", "bytetrack"):
             served.detections.clear()

@@ -154,26 +154,6 @@ def test_masks_number_the_detections_with_the_same_stamp(
     assert model.computed == computed, "no prototypes are needed for that"
 
 
-def test_masks_are_computed_only_while_they_have_subscribers(
-    camera: CameraClient, model: SegmentingModel
-) -> None:
-    served = camera.served
-    for _ in range(3):
-        assert class_ids_of(camera.see()) == ["cat", "dog"]
-    assert model.computed == 0
-    masks = MasksSubscriber(camera)
-    masks.begin()
-    assert model.computed > 0
-    masks.leave()
-
-    def is_detected_without_masks() -> bool:
-        before = model.computed
-        camera.see()
-        return model.computed == before
-
-    served.wait_for(is_detected_without_masks, "the node to compute no masks")
-
-
 def test_an_image_that_is_detected_before_a_subscriber_joins_has_no_masks(
     camera: CameraClient, prepare: Preparations, model: SegmentingModel
 ) -> None:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.detection.class_filter import class_ids, selection_of
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.prepared_model import Prepare, PreparedModel
-from yolov5_lifecycle.detection.selection import class_ids, selection
 from yolov5_lifecycle.evaluation.ground_truth import DataError, LabelledFolder, Problems, check_count
 from yolov5_lifecycle.evaluation.matching import MIN_CONFIDENCE, EvaluatedClasses, EvaluatedImage
 from yolov5_lifecycle.images.image import ColourImage, ImageError
@@ -60,7 +60,7 @@ class _Model:
         evaluated = settings.model_copy(update=_WHILE_EVALUATING)
         self.offline = OfflineDetector(evaluated, self.prepared, observer, with_masks=False)
         self.settings = settings.model_copy(update={"image_size": self.prepared.settings.image_size})
-        self._selection = selection(self.settings, self.offline.class_names)
+        self._selection = selection_of(self.settings, self.offline.class_names)
 
     @property
     def wanted(self) -> frozenset[int] | None:

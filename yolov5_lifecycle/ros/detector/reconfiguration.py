@@ -11,7 +11,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.detection.selection import model_problems
+from yolov5_lifecycle.detection.class_filter import model_problems
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused

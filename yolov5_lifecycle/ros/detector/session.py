@@ -15,10 +15,10 @@ from std_msgs.msg import Header
 
 from yolov5_lifecycle.collecting.candidate import CollectRules
 from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
+from yolov5_lifecycle.detection.class_filter import model_problems, selection_of
 from yolov5_lifecycle.detection.messages import label_info
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
-from yolov5_lifecycle.detection.selection import model_problems, selection
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
@@ -222,7 +222,7 @@ class ActiveCamera:
         """Process the next frame with the present settings and model."""
         model, settings = self.session.model, self.settings
         self.camera.use(settings.image_transport)
-        selected = selection(settings, model.detector.class_names)
+        selected = selection_of(settings, model.detector.class_names)
         self.empty_frames = EmptyFrames()
         self._follow_depth()
         self._follow_collecting(selected, model)

@@ -1,4 +1,4 @@
-"""Which detections are reported: thresholds, NMS, and class names or indices -> class ids of a model."""
+"""Class names or indices in settings -> class ids of a model, and the `Selection` that settings make."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def model_problems(settings: Settings, class_names: tuple[str, ...]) -> list[Pro
     return problems
 
 
-def selection(settings: Settings, class_names: tuple[str, ...]) -> Selection:
+def selection_of(settings: Settings, class_names: tuple[str, ...]) -> Selection:
     """NMS and filter parameters from `settings`; ValueError when `model_problems` reports any."""
     return Selection(
         confidence_threshold=settings.confidence_threshold,
