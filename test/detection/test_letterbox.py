@@ -58,11 +58,13 @@ def test_the_tighter_side_decides_the_scale_of_an_image_that_is_fitted_into_a_re
     "source_hw", [(480, 640), (360, 639), (1080, 810), (64, 64), (1, 1), (1, 16384), (16384, 1), (7, 3)]
 )
 def test_pixels_are_resized_linearly_and_framed_in_grey(source_hw: tuple[int, int], stride: int) -> None:
-    pixels = random_pixels(source_hw)
+    """Also those of a view that nobody may write into and whose rows are padded, as of a message."""
+    pixels = random_pixels((source_hw[0], source_hw[1] + 10))[:, 5:-5]
+    pixels.flags.writeable = False
     letterbox = Letterbox.fit(source_hw, image_size=320, stride=stride)
     (height, width), (frame_height, frame_width) = letterbox.resized_hw, letterbox.network_hw
     expected = cv2.copyMakeBorder(
-        cv2.resize(pixels, (width, height), interpolation=cv2.INTER_LINEAR),
+        cv2.resize(pixels.copy(), (width, height), interpolation=cv2.INTER_LINEAR),
         letterbox.top,
         frame_height - letterbox.top - height,
         letterbox.left,
