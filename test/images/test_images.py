@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.images.compressed import compressed_image, encode_jpeg
 from yolov5_lifecycle.images.encodings import GreyImage, decode_raw, raw_image
 from yolov5_lifecycle.images.image import MAX_FRAME_ID, ColourImage, ImageError, bytes_of
-from yolov5_lifecycle.spatial.depth_image import depth_image_of_message, intrinsics_of_message
+from yolov5_lifecycle.spatial.camera_model import intrinsics_of_message
+from yolov5_lifecycle.spatial.depth_image import depth_image_of_message
 
 
 @pytest.mark.parametrize(
@@ -67,7 +68,7 @@ JPEG = encode_jpeg(ColourImage(np.zeros((1, 1, 3), np.uint8), "rgb"))
         pytest.param(raw_image, {"encoding": "mono8", "data": b"\0", "step": 1}, id="raw"),
         pytest.param(compressed_image, {"format": "", "data": JPEG}, id="compressed"),
         pytest.param(depth_image_of_message, {"encoding": "16UC1", "data": b"\0\0", "step": 2}, id="depth"),
-        pytest.param(intrinsics_of_message, {"k": [1.0] * 9, "p": [1.0] * 12}, id="camera_info"),
+        pytest.param(intrinsics_of_message, {"k": [1.0] * 9, "p": [1.0] * 12, "d": ()}, id="camera_info"),
     ],
 )
 def test_a_message_with_a_long_frame_id_is_refused_before_anything_else_is_read(

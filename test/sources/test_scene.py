@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from tools.shapes.random_shapes import random_scene
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, SMALLEST_SIDE_PX, Scene, Shape, label_image
 from yolov5_lifecycle.sources.scene_depth import DepthFrame, SceneDepth
-from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, place
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from types import SimpleNamespace
 from typing import Any
@@ -19,9 +18,7 @@ from yolov5_lifecycle.spatial.depth_image import (
     MAX_DEPTH_M,
     MIN_DEPTH_M,
     DepthImage,
-    Intrinsics,
     depth_image_of_message,
-    intrinsics_of_message,
 )
 
 both_encodings = pytest.mark.parametrize("encoding", DEPTH_ENCODINGS)
@@ -114,47 +111,3 @@ def test_the_image_is_a_read_only_view_of_the_message() -> None:
 def test_a_layout_that_does_not_fit_is_refused(layout: dict[str, Any], message: str) -> None:
     with pytest.raises(ImageError, match=message):
         decoded(bytes(12), **layout)
-
-
-SIZE_HW = (480, 640)
-K = [500.0, 0.0, 320.0, 0.0, 510.0, 240.0, 0.0, 0.0, 1.0]
-P = [400.0, 0.0, 310.0, -20.0, 0.0, 410.0, 230.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-
-
-def intrinsics_of(k: list[float], p: list[float], size_hw: tuple[int, int]) -> Intrinsics:
-    header = SimpleNamespace(frame_id="depth")
-    height, width = size_hw
-    return intrinsics_of_message(SimpleNamespace(header=header, k=k, p=p, height=height, width=width))
-
-
-def test_p_counts_where_it_is_filled_in_and_else_k() -> None:
-    assert intrinsics_of(K, P, SIZE_HW) == Intrinsics(400.0, 410.0, 310.0, 230.0, SIZE_HW)
-    assert intrinsics_of(K, [0.0] * 12, SIZE_HW) == Intrinsics(500.0, 510.0, 320.0, 240.0, SIZE_HW)
-
-
-@pytest.mark.parametrize(
-    ("k", "p"),
-    [
-        pytest.param([0.0] * 9, [0.0] * 12, id="not calibrated"),
-        pytest.param(K, [math.nan, *P[1:]], id="NaN"),
-        pytest.param([*K[:4], 1e300, *K[5:]], [0.0] * 12, id="huge focal length"),
-        pytest.param([1e-300, *K[1:]], [0.0] * 12, id="tiny focal length"),
-        pytest.param([-1.0, *K[1:]], [0.0] * 12, id="negative focal length"),
-        pytest.param([*K[:2], -1e300, *K[3:]], [0.0] * 12, id="principal point far away"),
-    ],
-)
-def test_values_of_no_camera_are_refused(k: list[float], p: list[float]) -> None:
-    with pytest.raises(ImageError, match=r"fx and fy of 0.1 to 1e\+07 pixels .* found fx .* Calibrate"):
-        intrinsics_of(k, p, SIZE_HW)
-
-
-@pytest.mark.parametrize(("k", "p"), [([], P), (K, []), (K[:8], P)], ids=["no K", "no P", "short K"])
-def test_matrices_of_another_size_are_refused(k: list[float], p: list[float]) -> None:
-    with pytest.raises(ImageError, match="K of 9 and P of 12 values, found"):
-        intrinsics_of(k, p, SIZE_HW)
-
-
-@pytest.mark.parametrize("size_hw", [(0, 640), (480, 0), (480, 16385)])
-def test_a_size_of_no_image_is_refused(size_hw: tuple[int, int]) -> None:
-    with pytest.raises(ImageError, match="1 to 16384 pixels"):
-        intrinsics_of(K, P, size_hw)

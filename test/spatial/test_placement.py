@@ -25,7 +25,8 @@ from support.floor_scene import View, random_floor_scene, rendered, room
 from support.solids import KINDS, Cuboid, Kind
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import MAX_BOXES_AT_ONCE, Box3D, Placement, Unplaced, place
 
 SIZE_HW = CAMERA.size_hw

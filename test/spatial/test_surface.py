@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.depth_scene import CAMERA
 
 from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, is_background, sampled
 from yolov5_lifecycle.spatial.depth_image import DepthImage
@@ -22,7 +23,7 @@ def surface(inside: Depth | list[list[float]], around: float | Depth) -> NDArray
     """The surface (SIDE, SIDE) of a box that holds the rows `inside`, in a depth image of `around`."""
     depth_m = np.full((80, 80), around, np.float32)
     depth_m[IN_BOX] = np.broadcast_to(inside, (SIDE, SIDE))
-    return np.asarray(surfaces_m(DepthImage(depth_m, 1.0), BOX)[0])
+    return np.asarray(surfaces_m(DepthImage(depth_m, 1.0), BOX, CAMERA)[0])
 
 
 def rows(*parts: tuple[int, float]) -> Depth:
@@ -67,7 +68,7 @@ def test_sparse_depth_has_a_surface(every: int) -> None:
     depth_m[IN_BOX] = np.linspace(1.0, 1.3, SIDE)[:, None]
     sparse = np.zeros_like(depth_m, np.float32)
     sparse[::every, ::every] = depth_m[::every, ::every]
-    (found,) = surfaces_m(DepthImage(sparse, 1.0), BOX)
+    (found,) = surfaces_m(DepthImage(sparse, 1.0), BOX, CAMERA)
     near, far = extents(found)
     assert near < 1.05
     assert 1.2 < far < 1.35
@@ -81,12 +82,12 @@ WALL: Depth = 300 / (COLUMNS + 60.0)
 
 
 def background(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
-    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box)
+    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box, CAMERA)
     return np.asarray(is_background(samples)[0])
 
 
 def measured(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
-    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box)
+    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box, CAMERA)
     return np.asarray(~np.isnan(samples.metres[0]))
 
 
@@ -150,7 +151,7 @@ def test_the_samples_lie_in_the_box_and_on_a_ring_around_it() -> None:
     """Each pixel holds its own place: the column in whole metres, the row in 1/256."""
     columns, rows = np.meshgrid(np.arange(1, 120), np.arange(1, 160) / 256)
     depth = DepthImage((columns + rows).astype(np.float32)[:, :19], 1.0)
-    metres = sampled(depth, np.array([[4, 20, 14, 120]], np.float32)).metres
+    metres = sampled(depth, np.array([[4, 20, 14, 120]], np.float32), CAMERA).metres
     assert metres.shape == (1, GRID, GRID)
     in_box, on_ring = inside(metres)[0], around(metres)[0]
     assert in_box.shape == (SIDE, SIDE)
@@ -166,7 +167,8 @@ def test_the_samples_lie_in_the_box_and_on_a_ring_around_it() -> None:
 
 def test_the_samples_know_their_pixels() -> None:
     values = np.arange(1, 1 + 60 * 80, dtype=np.float32).reshape(60, 80) / 10
-    samples = sampled(DepthImage(values, 1.0), np.array([[30, 20, 60, 40], [10, 12, 30, 44]], np.float32))
+    boxes = np.array([[30, 20, 60, 40], [10, 12, 30, 44]], np.float32)
+    samples = sampled(DepthImage(values, 1.0), boxes, CAMERA)
     for box in range(2):
         expected = values[samples.rows[box][:, None], samples.columns[box][None, :]]
         np.testing.assert_array_equal(samples.metres[box], expected)

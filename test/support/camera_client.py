@@ -174,7 +174,7 @@ class DepthClient(CameraClient):
         info = camera_info_message(self.sent + 1, height=height, width=width)
         message = depth_message(self.depth_m, self.sent + 1)
         for sent in (info, message):
-            sent.header.frame_id = f"{self.name}_depth"
+            sent.header.frame_id = f"{self.name}_optical"
         if with_info:
             self.info.publish(info)
         self.depth.publish(message)

@@ -10,10 +10,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.depth_image import Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
 
 Shape = Literal["board", "disc", "sphere", "pole", "diagonal", "frame"]
 SHAPES: tuple[Shape, ...] = ("board", "disc", "sphere", "pole", "diagonal", "frame")
@@ -52,6 +53,7 @@ class DepthScene:
     """(3,) centre of the bounding box of the object's surface, in the optical frame."""
     size_xyz_m: NDArray[np.float64]
     """(3,) size of that bounding box."""
+    camera: Intrinsics = CAMERA
 
     @property
     def range_m(self) -> float:
@@ -86,12 +88,24 @@ def random_depth_scene(
     )
 
 
-def rays() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x / z and y / z of each pixel's centre, (1, W) and (H, 1)."""
-    height, width = CAMERA.size_hw
-    x = (np.arange(width, dtype=np.float64) - CAMERA.cx) / CAMERA.fx
-    y = (np.arange(height, dtype=np.float64) - CAMERA.cy) / CAMERA.fy
-    return x[None, :], y[:, None]
+def rays(camera: Intrinsics = CAMERA) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x / z and y / z (H, W) of each pixel's centre; NaN where a lens sees nothing."""
+    height, width = camera.size_hw
+    x, y = np.broadcast_arrays(*camera.tangents(np.arange(0.5, width), np.arange(0.5, height)[:, None]))
+    return x, y
+
+
+def pixels(camera: Intrinsics, tangents: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Column and row (2, n), from the centre of the first pixel, of rays (2, n), by OpenCV's lens models."""
+    matrix = np.array(((camera.fx, 0, camera.cx), (0, camera.fy, camera.cy), (0, 0, 1)), np.float64)
+    lens = camera.distortion
+    coefficients = np.array(lens.coefficients if lens else (), np.float64)
+    if lens and lens.model == "equidistant":
+        found = cv2.fisheye.distortPoints(tangents.T[:, None], matrix, coefficients)
+    else:
+        directions = np.stack((*tangents, np.ones(tangents.shape[1])), axis=1)
+        found, _ = cv2.projectPoints(directions, np.zeros(3), np.zeros(3), matrix, coefficients)
+    return np.asarray(found[:, 0].T, np.float64)
 
 
 def _plane(
@@ -193,9 +207,11 @@ def _beside(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[n
     return beside
 
 
-def bounds(surface: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def bounds(
+    surface: NDArray[np.float64], camera: Intrinsics = CAMERA
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper corner (3,) of the surface's bounding box in metres."""
-    x, y = rays()
+    x, y = rays(camera)
     seen = np.isfinite(surface)
     points = np.stack([(plane * np.where(seen, surface, 0))[seen] for plane in (x, y, 1.0)], axis=1)
     return points.min(axis=0), points.max(axis=0)

@@ -14,10 +14,12 @@ from support.depth_scene import (
     bounds,
     jittered_box,
     measured_by_a_sensor,
+    pixels,
     rays,
     tight_box,
 )
 from support.solids import Kind, Part, random_parts
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
 
 Array = NDArray[np.float64]
 
@@ -54,49 +56,60 @@ class View:
             (-c * self.x_m + s * self.z_m, self.height_m, -s * self.x_m - c * self.z_m), np.float64
         )
 
-    def pixels(self, points: Array) -> Array:
-        """Column and row (2, n) of points (3, n) in the coordinates of the object; NaN behind the camera."""
+    def tangents(self, points: Array) -> Array:
+        """x / z and y / z (2, n) of points (3, n) in the coordinates of the object; NaN behind the camera."""
         axes = self.local(np.eye(3))  # the optical axes, one a column
         x, y, z = axes.T @ (points - self.origin[:, None])
         z = np.where(z > 0.1, z, np.nan)
-        return np.stack((CAMERA.fx * x / z + CAMERA.cx, CAMERA.fy * y / z + CAMERA.cy))
+        return np.stack((x / z, y / z))
 
 
 def random_floor_scene(
-    rng: np.random.Generator, kind: Kind, *, is_ideal: bool = False, has_company: bool = False
+    rng: np.random.Generator,
+    kind: Kind,
+    *,
+    is_ideal: bool = False,
+    has_company: bool = False,
+    camera: Intrinsics = CAMERA,
 ) -> DepthScene:
     """An object on a floor before a wall, entirely in the image.
 
     `is_ideal`: the depth of each pixel is exact and the box is tight. Otherwise the depth has noise, mixed
     pixels and 30 % holes, and the sides of the box are off. `has_company`: two other objects stand nearby.
+    `camera` has an image of the size of CAMERA.
     """
     while True:
         view, parts = _random_view(rng), random_parts(rng, kind)
-        if not _fits(view, parts):
+        if not _fits(view, parts, camera):
             continue
-        surface = rendered(view, parts)
-        others = _company(rng, view) if has_company else np.full_like(surface, np.inf)
+        surface = rendered(view, parts, camera)
+        others = _company(rng, view, camera) if has_company else np.full_like(surface, np.inf)
         seen = np.isfinite(surface) & (surface < others)
         if seen.sum() >= max(40, 0.7 * np.isfinite(surface).sum()):
             break
-    depth_m = np.minimum(
-        np.minimum(surface, others), room(view, turned=rng.uniform(-0.6, 0.6), wall_m=rng.uniform(1.0, 5.0))
-    )
-    lower, upper = bounds(np.where(seen, surface, np.inf))
+    turned, wall_m = rng.uniform(-0.6, 0.6), rng.uniform(1.0, 5.0)
+    depth_m = np.fmin(np.minimum(surface, others), room(view, turned=turned, wall_m=wall_m, camera=camera))
+    lower, upper = bounds(np.where(seen, surface, np.inf), camera)
     return DepthScene(
         depth_m=_exact(depth_m) if is_ideal else measured_by_a_sensor(rng, depth_m, 0.3),
         box_xyxy=np.array(tight_box(seen), np.float32) if is_ideal else jittered_box(rng, seen),
         centre_xyz_m=(lower + upper) / 2,
         size_xyz_m=upper - lower,
+        camera=camera,
     )
 
 
-def rendered(view: View, parts: tuple[Part, ...]) -> Array:
+def rendered(view: View, parts: tuple[Part, ...], camera: Intrinsics = CAMERA) -> Array:
     """Depth (H, W) of an object, infinite beside it."""
-    x, y = rays()
-    directions = view.local(np.stack(np.broadcast_arrays(x, y, np.ones((1, 1)))))
+    directions = view.local(_directions(camera))
     depth_m: Array = np.minimum.reduce([part.depth_m(view.origin, directions) for part in parts])
     return depth_m
+
+
+def _directions(camera: Intrinsics) -> Array:
+    """Of the rays of all pixels (3, H, W), 1 along the optical axis."""
+    x, y = rays(camera)
+    return np.stack((x, y, np.ones_like(x)))
 
 
 def _random_view(rng: np.random.Generator) -> View:
@@ -110,35 +123,34 @@ def _random_view(rng: np.random.Generator) -> View:
     )
 
 
-def _fits(view: View, parts: tuple[Part, ...]) -> bool:
+def _fits(view: View, parts: tuple[Part, ...], camera: Intrinsics) -> bool:
     """Whether all of the object is in the image, and large enough."""
     corners = [
         np.array([(x, y, z) for x in xs for y in ys for z in zs]).T
         for xs, ys, zs in (zip(*part.corners, strict=True) for part in parts)
     ]
-    pixels = view.pixels(np.concatenate(corners, axis=1))
+    places = pixels(camera, view.tangents(np.concatenate(corners, axis=1)))
     height, width = CAMERA.size_hw
     ends = np.array(((width,), (height,))) - 1 - _EDGE_PX
-    is_inside = bool(((pixels >= _EDGE_PX) & (pixels <= ends)).all())
-    return is_inside and bool((np.ptp(pixels, axis=1) >= _MIN_SIDE_PX).all())
+    is_inside = bool(((places >= _EDGE_PX) & (places <= ends)).all())
+    return is_inside and bool((np.ptp(places, axis=1) >= _MIN_SIDE_PX).all())
 
 
-def _company(rng: np.random.Generator, view: View) -> Array:
+def _company(rng: np.random.Generator, view: View, camera: Intrinsics) -> Array:
     """Depth (H, W) of two other objects half a metre to two metres beside, before or behind."""
     found = []
     for kind in ("cuboid", "person"):
         angle, metres = rng.uniform(0, 2 * math.pi), rng.uniform(0.6, 2.0)
         x_m, z_m = view.x_m + metres * math.sin(angle), view.z_m + metres * math.cos(angle)
         other = View(view.height_m, view.pitch, x_m, max(z_m, 0.5), rng.uniform(0, 2 * math.pi))
-        found.append(rendered(other, random_parts(rng, "person" if kind == "person" else "cuboid")))
+        found.append(rendered(other, random_parts(rng, "person" if kind == "person" else "cuboid"), camera))
     return np.minimum(*found)
 
 
-def room(view: View, wall_m: float, turned: float = 0.0) -> Array:
+def room(view: View, wall_m: float, turned: float = 0.0, camera: Intrinsics = CAMERA) -> Array:
     """Depth (H, W) of the floor and of an upright wall that far behind the middle of the object."""
-    x, y = rays()
     level = View(view.height_m, view.pitch, 0, 0, turned)
-    _, up, away = level.local(np.stack(np.broadcast_arrays(x, y, np.ones((1, 1)))))
+    _, up, away = level.local(_directions(camera))
     floor = np.where(up < -1e-6, view.height_m / np.maximum(-up, 1e-6), np.inf)
     nearest_m = math.sin(turned) * view.x_m + math.cos(turned) * view.z_m
     wall = np.where(away > 1e-6, (nearest_m + wall_m) / np.maximum(away, 1e-6), np.inf)

@@ -1,9 +1,8 @@
 """Samples of a depth image in and around boxes, and which of them are background.
 
 They lie on a grid, so that the cost does not depend on the size of a box. Background are planes that go on
-around a box: the floor, a wall, or a board before the object. A plane in space is a plane in the image, too:
-along it, 1 / depth changes linearly with column and row. So neither the camera's intrinsics nor its height
-above the floor need to be known.
+around a box: the floor, a wall, or a board before the object. Along a plane in space, 1 / depth changes
+linearly with x / z and y / z of the rays, so that the height of the camera need not be known.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 
 SIDE = 20
@@ -43,12 +43,34 @@ class BoxSamples:
     """(n, GRID) in pixels of the depth image, rising."""
     rows: NDArray[np.intp]
     """(n, GRID)."""
+    x: NDArray[np.float32]
+    """x / z of the samples' rays, less the middle's, in parts of the grid; 0 where the lens sees nothing.
+
+    (n, GRID, GRID), or what is broadcast to that.
+    """
+    y: NDArray[np.float32]
+    """The same of y / z, so that all coefficients of a plane are alike in size."""
 
 
-def sampled(depth: DepthImage, boxes_xyxy: NDArray[np.float32]) -> BoxSamples:
+def sampled(depth: DepthImage, boxes_xyxy: NDArray[np.float32], camera: Intrinsics) -> BoxSamples:
     """Samples for the boxes (n, 4), finite corners in pixels of the depth image."""
     columns, rows = _positions(boxes_xyxy[:, 0::2]), _positions(boxes_xyxy[:, 1::2])
-    return BoxSamples(depth.metres_at(rows[:, :, None], columns[:, None, :]), columns, rows)
+    across, down = columns[:, None, :], rows[:, :, None]
+    metres = depth.metres_at(down, across)
+    x, y = camera.tangents(across + np.float64(0.5), down + np.float64(0.5))
+    if camera.distortion:
+        metres[np.isnan(x)] = np.nan
+        x, y = np.nan_to_num(x), np.nan_to_num(y)
+    return BoxSamples(metres, columns, rows, _parts(x, columns, camera.fx), _parts(y, rows, camera.fy))
+
+
+def _parts(tangents: NDArray[np.float64], places: NDArray[np.intp], focal_px: float) -> NDArray[np.float32]:
+    scale = focal_px / np.maximum(places[:, -1] - places[:, 0], 1)
+    middle = tangents[:, tangents.shape[1] // 2, tangents.shape[2] // 2]
+    parts: NDArray[np.float32] = ((tangents - middle[:, None, None]) * scale[:, None, None]).astype(
+        np.float32
+    )
+    return parts
 
 
 Values = TypeVar("Values", bound=np.generic)
@@ -154,23 +176,16 @@ def is_background(samples: BoxSamples) -> NDArray[np.bool_]:
 
 
 def _terms(samples: BoxSamples) -> Array:
-    """Column, row and 1 of the samples (n, 3, GRID * GRID), each times the sample's depth; 0 without one.
+    """x / z, y / z and 1 of the samples (n, 3, GRID * GRID), each times the sample's depth; 0 without one.
 
     A sample is on a plane if these three, each times a coefficient of the plane, add up to 1.
     """
-    terms = np.empty((len(samples.metres), 3, GRID, GRID), np.float32)
     metres = np.where(np.isnan(samples.metres), np.float32(0), samples.metres)
-    terms[:, 0] = metres * _normalised(samples.columns)[:, None, :]
-    terms[:, 1] = metres * _normalised(samples.rows)[:, :, None]
+    terms = np.empty((len(metres), 3, GRID, GRID), np.float32)
+    terms[:, 0] = metres * samples.x
+    terms[:, 1] = metres * samples.y
     terms[:, 2] = metres
     return terms.reshape(len(terms), 3, -1)
-
-
-def _normalised(places: NDArray[np.intp]) -> Array:
-    """Pixel indices (n, GRID) as parts of the grid, so that all coefficients of a plane are alike in size."""
-    first, last = places[:, :1], places[:, -1:]
-    parts: Array = ((places - first) / np.maximum(last - first, 1) - 0.5).astype(np.float32)
-    return parts
 
 
 def _best(

@@ -1,4 +1,4 @@
-"""Depth images, views of message buffers with the metres in them, and intrinsics of the depth camera."""
+"""Depth images, views of message buffers with the metres in them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, check_frame_id, check_size, rows_of
+from yolov5_lifecycle.images.image import ImageError, check_frame_id, check_size, rows_of
 
 MIN_DEPTH_M = 0.01
 MAX_DEPTH_M = 1000.0
 """Beyond these a value is no measurement, but damage: no depth camera reaches either."""
-
-MIN_FOCAL_PX = 0.1
-MAX_PX = 1e7
-"""Beyond these there is no camera, and coordinates in space would not be finite."""
 
 DEPTH_ENCODINGS: Mapping[str, tuple[str, float]] = MappingProxyType(
     {"16UC1": ("u2", 0.001), "32FC1": ("f4", 1.0)}
@@ -88,52 +84,3 @@ def depth_image_of_message(image: Any) -> DepthImage:
         encoding=image.encoding,
     )
     return DepthImage(rows.view(dtype)[..., 0], metres_per_unit)
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """A pinhole camera: focal lengths and principal point in pixels of an image of `size_hw`.
-
-    The principal point counts from the centre of the first pixel, as in sensor_msgs/CameraInfo. Raises
-    ImageError on construction unless focal lengths are in [0.1, 1e7], the principal point in
-    [-1e7, 1e7] and the sides in [1, 16384].
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    size_hw: tuple[int, int]
-
-    def __post_init__(self) -> None:
-        are_focal_lengths = all(MIN_FOCAL_PX <= value <= MAX_PX for value in (self.fx, self.fy))
-        if not (are_focal_lengths and all(abs(value) <= MAX_PX for value in (self.cx, self.cy))):
-            raise ImageError(
-                f"Expected intrinsics with fx and fy of {MIN_FOCAL_PX:g} to {MAX_PX:g} pixels and cx and cy "
-                f"of at most {MAX_PX:g}, found fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}"
-                ". Calibrate the camera, or have its driver publish the intrinsics of the depth image."
-            )
-        if not all(1 <= side <= MAX_SIDE_PX for side in self.size_hw):
-            height, width = self.size_hw
-            raise ImageError(
-                f"Expected a camera_info with height and width of 1 to {MAX_SIDE_PX} pixels, found "
-                f"{height} x {width}. Have the driver fill in the size of the depth image."
-            )
-
-
-def intrinsics_of_message(camera_info: Any) -> Intrinsics:
-    """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
-
-    P counts where it is filled in: depth images are rectified, and P is the camera of the rectified image.
-    Otherwise K. Raises ImageError as `Intrinsics`, for matrices of another size, and for a
-    frame_id longer than MAX_FRAME_ID.
-    """
-    check_frame_id(camera_info)
-    k, p = camera_info.k, camera_info.p
-    if len(k) != 9 or len(p) != 12:
-        raise ImageError(
-            f"Expected a camera_info with K of 9 and P of 12 values, found {len(k)} and {len(p)}."
-        )
-    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
-    size_hw = camera_info.height, camera_info.width
-    return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)

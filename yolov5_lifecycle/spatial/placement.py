@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.spatial.box_samples import SIDE
-from yolov5_lifecycle.spatial.depth_image import DepthImage, Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
+from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.surface import surfaces_m
 
 MAX_BOXES_AT_ONCE = 64
 """More boxes are placed in several passes, so that the arrays stay small."""
+_EDGES = np.arange(SIDE + 1) / SIDE
+"""Of the samples along each side of a box, in parts of it."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Unplaced(Enum):
     NO_DEPTH_IMAGE = "no depth image"
     NO_CAMERA_INFO = "no camera_info"
     OTHER_SIZE = "other size"
+    OTHER_CAMERA = "other camera"
     NO_VALID_DEPTH = "no valid depth in box"
 
 
@@ -72,7 +76,7 @@ def place(
     placements: list[Placement] = []
     for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
         boxes = boxes_xyxy[first : first + MAX_BOXES_AT_ONCE]
-        surfaces = surfaces_m(depth, boxes)
+        surfaces = surfaces_m(depth, boxes, intrinsics)
         placements += _placements(boxes.astype(np.float64), surfaces, intrinsics)
     return tuple(placements)
 
@@ -81,44 +85,36 @@ def _placements(
     boxes_xyxy: NDArray[np.float64], surfaces: NDArray[np.float32], camera: Intrinsics
 ) -> list[Placement]:
     """One entry per box (n, 4) with the depth in metres of its surface (n, SIDE, SIDE), NaN beside it."""
-    # Boxes count from the corner of the first pixel, intrinsics from its centre.
-    sides = (boxes_xyxy - 0.5 - [camera.cx, camera.cy] * 2) / ([camera.fx, camera.fy] * 2)
-    is_seen = ~np.isnan(surfaces)
-    near = np.where(is_seen, surfaces, np.float32(np.inf))
-    far = np.where(is_seen, surfaces, np.float32(-np.inf))
-    # Of the columns, then of the rows: (2, n, SIDE)
-    nearest = np.stack((near.min(axis=1), near.min(axis=2))).astype(np.float64)
-    farthest = np.stack((far.max(axis=1), far.max(axis=2))).astype(np.float64)
-    lower, upper = _extents_across(sides.T.reshape(2, 2, -1), nearest, farthest)
-    lower = np.stack((*lower, nearest[0].min(axis=1)), axis=1)
-    upper = np.stack((*upper, farthest[0].max(axis=1)), axis=1)
-    with np.errstate(invalid="ignore"):  # infinity less infinity, where no surface is seen
-        centres, sizes = (lower + upper) / 2, upper - lower
+    start, end = boxes_xyxy[:, None, :2], boxes_xyxy[:, None, 2:]
+    columns, rows = np.moveaxis(start + _EDGES[:, None] * (end - start), -1, 0)
+    tangents = camera.tangents(columns[:, None, :], rows[:, :, None])
+    x, y = np.broadcast_arrays(*tangents)  # (n, SIDE + 1, SIDE + 1)
+    across, down = (x[:, :-1] + x[:, 1:]) / 2, (y[..., :-1] + y[..., 1:]) / 2
+    extents = (
+        _extent(across, surfaces),
+        _extent(down.transpose(0, 2, 1), surfaces.transpose(0, 2, 1)),
+        (np.fmin.reduce(surfaces, axis=(1, 2)), np.fmax.reduce(surfaces, axis=(1, 2))),
+    )
+    lower, upper = np.array(extents).transpose(1, 2, 0)
+    centres, sizes = (lower + upper) / 2, upper - lower
     return [
-        Box3D(tuple(centre), tuple(size)) if math.isfinite(centre[2]) else Unplaced.NO_VALID_DEPTH
+        Box3D(tuple(centre), tuple(size)) if all(map(math.isfinite, size)) else Unplaced.NO_VALID_DEPTH
         for centre, size in zip(centres.tolist(), sizes.tolist(), strict=True)
     ]
 
 
-def _extents_across(
-    sides: NDArray[np.float64], nearest: NDArray[np.float64], farthest: NDArray[np.float64]
+def _extent(
+    edges: NDArray[np.float64], surfaces: NDArray[np.float32]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """From where to where in metres surfaces extend to the right, and downwards: (2, n) each.
+    """From where to where in metres (n,) surfaces (n, SIDE, SIDE) extend along their last axis.
 
-    `sides` are left and top, then right and bottom sides of the boxes as tangents (2, 2, n), `nearest` and
-    `farthest` the extents in metres of each column of samples, and of each row (2, n, SIDE). The outermost
-    ones reach to the sides of the box, as the object does, seen or hidden.
+    `edges` (n, SIDE, SIDE + 1) are tangents of the edges of the samples along that axis. The outermost
+    samples reach to the sides of the box, as the object does, seen or hidden. NaN where nothing is seen.
     """
-    is_seen = nearest <= farthest
+    is_seen = np.asarray(np.isfinite(surfaces).any(axis=1))
     places = np.arange(SIDE)
-    first, last = is_seen.argmax(axis=2), SIDE - 1 - is_seen[..., ::-1].argmax(axis=2)
-    start, side = sides[0][..., None], (sides[1] - sides[0])[..., None]
-    before = start + np.where(places <= first[..., None], 0, places) / SIDE * side
-    after = start + np.where(places >= last[..., None], SIDE, places + 1) / SIDE * side
-    with np.errstate(invalid="ignore"):  # 0 times infinity, where no surface is seen
-        lower = np.minimum(before * nearest, before * farthest)
-        upper = np.maximum(after * nearest, after * farthest)
-    return (
-        np.where(is_seen, lower, np.inf).min(axis=2),
-        np.where(is_seen, upper, -np.inf).max(axis=2),
-    )
+    first, last = is_seen.argmax(axis=1), SIDE - 1 - is_seen[:, ::-1].argmax(axis=1)
+    is_first, is_last = (places <= first[:, None])[:, None], (places >= last[:, None])[:, None]
+    lower = np.where(is_first, edges[..., :1], edges[..., :-1]) * surfaces
+    upper = np.where(is_last, edges[..., -1:], edges[..., 1:]) * surfaces
+    return np.fmin.reduce(lower, axis=(1, 2)), np.fmax.reduce(upper, axis=(1, 2))

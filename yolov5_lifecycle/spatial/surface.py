@@ -21,6 +21,7 @@ from yolov5_lifecycle.spatial.box_samples import (
     is_background,
     sampled,
 )
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
 
 _BIN_WIDTH = math.log(1.025)
@@ -67,13 +68,13 @@ Bins = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 
-def surfaces_m(depth: DepthImage, boxes_xyxy: NDArray[np.float32]) -> Array:
+def surfaces_m(depth: DepthImage, boxes_xyxy: NDArray[np.float32], camera: Intrinsics) -> Array:
     """Depth in metres (n, SIDE, SIDE) of the surface of the object in each of the boxes (n, 4).
 
     The samples are evenly spread over the box, row by row; NaN where the object is not seen. Boxes are
     finite corners in pixels of the depth image.
     """
-    samples = sampled(depth, boxes_xyxy)
+    samples = sampled(depth, boxes_xyxy, camera)
     bins = _bins(samples.metres)
     foreground = np.where(is_background(samples), np.int32(_NO_BIN), bins)
     is_surface, is_found = _foreground_surface(_supported(foreground, samples, depth), bins)

@@ -29,7 +29,8 @@ from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
 from yolov5_lifecycle.sources.scene import CLASS_NAMES, Scene, label_image
 from yolov5_lifecycle.sources.scene_depth import SceneDepth
 from yolov5_lifecycle.sources.source import open_source
-from yolov5_lifecycle.spatial.depth_image import depth_image_of_message, intrinsics_of_message
+from yolov5_lifecycle.spatial.camera_model import intrinsics_of_message
+from yolov5_lifecycle.spatial.depth_image import depth_image_of_message
 
 RELIABLE = QoSProfile(depth=10)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

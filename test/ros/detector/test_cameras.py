@@ -233,7 +233,7 @@ def test_each_camera_places_its_tracks_in_its_own_frame_while_its_depth_is_on(pr
         assert len(set(ids)) == len(CAMERAS)
         for camera, track_id, wall_m in zip(cameras, ids, WALLS_M, strict=True):
             (placed,) = camera.place().detections
-            assert placed.header.frame_id == f"{camera.name}_depth"
+            assert placed.header.frame_id == f"{camera.name}_optical"
             assert placed.id == track_id
             assert placed.bbox.center.position.z == pytest.approx(wall_m, rel=0.01)
         front, rear = cameras

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -36,7 +37,11 @@ WRONG_DEPTHS: dict[str, dict[str, Any]] = {
     LONG: {"header": LONG_NAME},
 }
 """Changes of a depth image by a part of the reason for which it is rejected."""
-WRONG_CAMERA_INFOS: dict[str, dict[str, Any]] = {"found fx 0": {"k": [0.0] * 9}, LONG: {"header": LONG_NAME}}
+WRONG_CAMERA_INFOS: dict[str, dict[str, Any]] = {
+    "found fx 0": {"k": [0.0] * 9},
+    "found 'division'": {"distortion_model": "division", "d": [0.1]},
+    LONG: {"header": LONG_NAME},
+}
 
 
 @pytest.fixture
@@ -46,9 +51,14 @@ def depth(ros_domain: int) -> Iterator[DepthInput]:
 
 
 def placed(
-    depth: DepthInput, stamp_s: float = 1.0, size_hw: tuple[int, int] = CAMERA.size_hw
+    depth: DepthInput,
+    stamp_s: float = 1.0,
+    size_hw: tuple[int, int] = CAMERA.size_hw,
+    frame_id: str = DEPTH_FRAME,
 ) -> PlacedImage | None:
-    return depth.place(SCENE.box_xyxy[None], size_hw, header(stamp_s))
+    colour = header(stamp_s)
+    colour.frame_id = frame_id
+    return depth.place(SCENE.box_xyxy[None], size_hw, colour)
 
 
 def counted(depth: DepthInput) -> dict[str, int]:
@@ -93,24 +103,58 @@ def test_wrong_messages_are_rejected_with_the_reason_and_those_before_them_stay(
 
 
 @pytest.mark.parametrize(
-    ("stamp_s", "size_hw", "reason", "told"),
+    ("colour", "reason", "told"),
     [
-        pytest.param(1.2, CAMERA.size_hw, Unplaced.NO_DEPTH_IMAGE, "older than the colour image", id="late"),
-        pytest.param(1.0, (48, 64), Unplaced.OTHER_SIZE, "images of 64x48, depth images of", id="size"),
+        pytest.param({"stamp_s": 1.2}, Unplaced.NO_DEPTH_IMAGE, "older than the colour image", id="late"),
+        pytest.param(
+            {"size_hw": (48, 64)}, Unplaced.OTHER_SIZE, "images of 64x48, depth images of", id="size"
+        ),
+        pytest.param(
+            {"frame_id": "colour"},
+            Unplaced.OTHER_CAMERA,
+            rf"the frame colour, depth images of {DEPTH_FRAME}; .* register_node",
+            id="camera",
+        ),
     ],
 )
 def test_an_image_whose_detections_have_no_place_is_counted_with_the_reason(
-    depth: DepthInput, stamp_s: float, size_hw: tuple[int, int], reason: Unplaced, told: str
+    depth: DepthInput, colour: dict[str, Any], reason: Unplaced, told: str
 ) -> None:
     fill(depth)
-    assert placed(depth, stamp_s, size_hw) is None
+    assert placed(depth, **colour) is None
     assert counted(depth) == {
         "depth images received": 1,
         "images without depth": 1,
         f"unplaced: {reason.value}": 1,
     }
     assert depth.run is not None
-    assert told in depth.run.reason
+    assert re.search(told, depth.run.reason)
+
+
+def test_a_camera_that_names_no_frame_has_that_of_the_other(depth: DepthInput) -> None:
+    fill(depth)
+    image = placed(depth, frame_id="")
+    assert image is not None
+    assert image.frame_id == DEPTH_FRAME
+
+
+@pytest.mark.parametrize(
+    ("topic", "lens"),
+    [
+        ("/camera/image_raw", "plumb_bob"),
+        ("/rect/depth", "plumb_bob"),
+        ("/camera/image_rect_raw", "rectified"),
+    ],
+)
+def test_the_lens_counts_unless_the_topic_says_that_its_images_are_rectified(
+    ros_domain: int, topic: str, lens: str
+) -> None:
+    with lone_node("yolov5", "-r", f"~/depth/image_raw:={topic}") as node:
+        depth = DepthInput(node, slop_s=0.05)
+        depth.take_camera_info(
+            camera_info_message(1.0, distortion_model="plumb_bob", d=[-0.3, 0.1, 0.0, 0.0])
+        )
+        assert depth.values()["depth lens"] == lens
 
 
 def test_a_detection_without_measurements_is_counted_alone(depth: DepthInput) -> None:
@@ -168,7 +212,7 @@ def test_detections_are_placed_and_an_image_without_objects_has_an_empty_array(
     begin(client)
     array = client.place()
     plain = client.detections_of(client.detections[-1].header)
-    assert (array.header.frame_id, plain.header.frame_id) == ("_depth", "_optical")
+    assert array.header.frame_id == plain.header.frame_id == "_optical"
     assert len(array.detections) == len(plain.detections) == 1
     status = client.served.status()
     assert status.message == "detecting"

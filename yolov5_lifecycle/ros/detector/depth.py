@@ -13,14 +13,15 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from yolov5_lifecycle.images.image import ImageError
+from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, depth_topics
 from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.messages import stamp_ns
+from yolov5_lifecycle.ros.topics import DEPTH_IMAGE_RAW, full_name, of_camera
+from yolov5_lifecycle.spatial.camera_model import Intrinsics, intrinsics_of_message
 from yolov5_lifecycle.spatial.depth_image import (
     DepthImage,
-    Intrinsics,
     depth_image_of_message,
-    intrinsics_of_message,
 )
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
@@ -53,6 +54,10 @@ RECENT_S = 2.0
 UNPLACED_S = 2.0
 """Images without depth for longer than this are reported."""
 _NO_PLACE = "detections have no place in space"
+_REGISTER = (
+    "subscribe to depth images that are registered to the colour camera, which its driver publishes as "
+    "aligned depth, or else `ros2 run depth_image_proc register_node`"
+)
 
 
 _QUEUE = 2
@@ -141,6 +146,8 @@ class DepthInput:
             values["depth topic"] = image.name
             values["depth publishers"] = str(image.publishers)
             values["camera_info publishers"] = str(camera_info.publishers)
+        if (camera := self._intrinsics) is not None:
+            values["depth lens"] = camera.distortion.model if camera.distortion else "rectified"
         return values | {name: str(count) for name, count in self.counts.items()}
 
     def take_image(self, message: Image) -> None:
@@ -156,7 +163,7 @@ class DepthInput:
     def take_camera_info(self, message: CameraInfo) -> None:
         """Use these intrinsics from now on; reject those of an uncalibrated camera."""
         try:
-            self._intrinsics = intrinsics_of_message(message)
+            self._intrinsics = intrinsics_of_message(message, is_rectified=self._is_rectified())
         except ImageError as error:
             self._reject(_INFOS_REJECTED, f"camera_info is rejected: {error}")
 
@@ -181,13 +188,20 @@ class DepthInput:
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
+        if frame_id and header.frame_id and frame_id != header.frame_id:
+            self._count_unplaced(count, Unplaced.OTHER_CAMERA, _of_another_camera(header.frame_id, frame_id))
+            return None
         placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
         for placement in placements:
             name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
             self.counts[name] += 1
         self.counts[_WITH_DEPTH] += 1
         self.run = None
-        return PlacedImage(placements, frame_id)
+        return PlacedImage(placements, frame_id or header.frame_id)
+
+    def _is_rectified(self) -> bool:
+        """By the name of the depth images, as image_proc and drivers give it: image_rect, image_rect_raw."""
+        return "rect" in full_name(self.node, of_camera(DEPTH_IMAGE_RAW, self.camera)).rpartition("/")[2]
 
     def _reject(self, count: str, why: str) -> None:
         self.counts[count] += 1
@@ -209,4 +223,10 @@ def _explained(
         return reason.value
     sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
     colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
-    return f"{reason.value}: images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
+    found = f"images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
+    return f"{reason.value}: {found}; {_REGISTER}"
+
+
+def _of_another_camera(colour_frame: str, depth_frame: str) -> str:
+    found = f"images of the frame {in_one_line(colour_frame)}, depth images of {in_one_line(depth_frame)}"
+    return f"{Unplaced.OTHER_CAMERA.value}: {found}; {_REGISTER}"
