@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
@@ -201,7 +202,8 @@ class DepthInput:
 
     def _is_rectified(self) -> bool:
         """By the name of the depth images, as image_proc and drivers give it: image_rect, image_rect_raw."""
-        return "rect" in full_name(self.node, of_camera(DEPTH_IMAGE_RAW, self.camera)).rpartition("/")[2]
+        name = full_name(self.node, of_camera(DEPTH_IMAGE_RAW, self.camera))
+        return re.search("(^|_)rect", name.rpartition("/")[2]) is not None
 
     def _reject(self, count: str, why: str) -> None:
         self.counts[count] += 1
