@@ -9,18 +9,17 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from support.depth_scene import CAMERA, SHAPES, THIN, DepthScene, Difficulty, random_depth_scene
+from support.depth_scene import CAMERA, LENSES, SHAPES, THIN, DepthScene, Difficulty, random_depth_scene
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
 from benchmark.report import Figures, Program, Row, row, timed
-from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
 
@@ -30,20 +29,6 @@ SCENES = {
     "half occluded": Difficulty(hole_share=0.3, is_half_occluded=True),
     "on a floor": Difficulty(hole_share=0.3, stands_on_floor=True),
     "in a row": Difficulty(hole_share=0.3, has_neighbours=True),
-}
-LENSES = {
-    "barrel (plumb_bob)": replace(
-        CAMERA, distortion=Distortion("plumb_bob", (-0.3, 0.1, 1e-3, -1e-3, -0.01))
-    ),
-    "wide (rational_polynomial)": replace(
-        CAMERA,
-        fx=150.0,
-        fy=150.0,
-        distortion=Distortion("rational_polynomial", (0.5, -2.7, 6e-4, -2e-4, 1.6, 0.38, -2.5, 1.5)),
-    ),
-    "fisheye (equidistant)": replace(
-        CAMERA, fx=150.0, fy=150.0, distortion=Distortion("equidistant", (0.05, -0.01, 0.003, -0.001))
-    ),
 }
 FLOOR_SCENES: dict[str, dict[str, Any]] = {
     "ideal depth, exact boxes": {"is_ideal": True},

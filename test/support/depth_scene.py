@@ -7,14 +7,14 @@ surfaces at the edges, and holes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from yolov5_lifecycle.spatial.camera_model import Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 
 Shape = Literal["board", "disc", "sphere", "pole", "diagonal", "frame"]
 SHAPES: tuple[Shape, ...] = ("board", "disc", "sphere", "pole", "diagonal", "frame")
@@ -22,6 +22,19 @@ THIN: tuple[Shape, ...] = ("pole", "diagonal", "frame")
 """A few pixels wide, or filling only a tenth to a third of their box."""
 
 CAMERA = Intrinsics(fx=270.0, fy=270.0, cx=159.5, cy=119.5, size_hw=(240, 320))
+LENSES = {
+    "barrel": replace(CAMERA, distortion=Distortion("plumb_bob", (-0.3, 0.1, 1e-3, -1e-3, -0.01))),
+    "wide": replace(
+        CAMERA,
+        fx=150.0,
+        fy=150.0,
+        distortion=Distortion("rational_polynomial", (0.5, -2.7, 6e-4, -2e-4, 1.6, 0.38, -2.5, 1.5)),
+    ),
+    "fisheye": replace(
+        CAMERA, fx=150.0, fy=150.0, distortion=Distortion("equidistant", (0.05, -0.01, 0.003, -0.001))
+    ),
+}
+"""Cameras whose images nobody has rectified."""
 _NOISE_PER_M = 0.0015  # standard deviation in metres at one metre
 REACH_M = 12.0
 _BOX_JITTER = 0.04  # of the side of a box, as detectors err
