@@ -43,6 +43,7 @@ def message(
 NO_P = [0.0] * 12
 OF_P, OF_K = Intrinsics(400.0, 410.0, 310.0, 230.0, SIZE_HW), Intrinsics(500.0, 510.0, 320.0, 240.0, SIZE_HW)
 BARREL = (-0.3, 0.1, 0.001, -0.002, -0.01)
+IDEAL_FISHEYE = replace(OF_K, distortion=Distortion("equidistant", (0.0,) * 4))
 LENSES = {
     "none": OF_K,
     "barrel": replace(OF_K, distortion=Distortion("plumb_bob", BARREL)),
@@ -64,6 +65,7 @@ LENSES = {
         pytest.param(P, "plumb_bob", (0.0,) * 5, False, OF_P, id="no distortion"),
         pytest.param(NO_P, "", (), False, OF_K, id="nothing but K"),
         pytest.param(P, "plumb_bob", BARREL, False, LENSES["barrel"], id="lens"),
+        pytest.param(P, "equidistant", (0.0,) * 4, False, IDEAL_FISHEYE, id="ideal fisheye"),
         pytest.param(P, "unknown", BARREL, True, OF_P, id="rectified, of any lens"),
     ],
 )
@@ -91,19 +93,33 @@ def test_a_lens_that_is_unknown_or_sees_nothing_is_refused_with_the_remedy(
         intrinsics_of_message(message(K, P, model=model, d=d), is_rectified=False)
 
 
-@pytest.mark.parametrize("camera", LENSES.values(), ids=LENSES)
-def test_a_ray_meets_the_image_where_it_came_from(camera: Intrinsics) -> None:
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_ray_meets_the_image_where_it_came_from(lens: str) -> None:
     columns, rows = np.random.default_rng(3).uniform(0, 1, (2, 500)) * [[640], [480]]
-    tangents = camera.tangents(columns, rows)
+    tangents = np.array(LENSES[lens].tangents(columns, rows))
     assert np.isfinite(tangents).all()
-    np.testing.assert_allclose(pixels(camera, np.array(tangents)) + 0.5, (columns, rows), atol=0.3)
+    seen = pixels(LENSES[lens], tangents) + 0.5
+    np.testing.assert_allclose(seen, (columns, rows), atol=0.3 if "fisheye" in lens else 0.05)
 
 
-def test_where_a_lens_model_folds_over_nothing_is_seen() -> None:
-    folding = Distortion("plumb_bob", (-0.3, 0.09, 0.0, 0.0, -0.012))
-    camera = replace(OF_K, fx=250.0, fy=250.0, distortion=folding)
-    tangents = camera.tangents(np.array([320.0, 1.0]), np.array([240.0, 1.0]))
-    assert np.isfinite(tangents).all(axis=0).tolist() == [True, False]
+@pytest.mark.parametrize(
+    "camera",
+    [
+        pytest.param(
+            replace(OF_K, fx=250.0, fy=250.0, distortion=Distortion("plumb_bob", (-0.3, 0.09, 0, 0, -0.012))),
+            id="the model folds over",
+        ),
+        pytest.param(replace(IDEAL_FISHEYE, fx=150.0, fy=150.0), id="behind the camera"),
+    ],
+)
+def test_what_a_lens_cannot_see_has_no_ray(camera: Intrinsics) -> None:
+    columns, rows = np.meshgrid(np.linspace(0, 640, 41), np.linspace(0, 480, 31))
+    tangents = np.array(camera.tangents(columns, rows))
+    is_seen = np.asarray(np.isfinite(tangents).all(axis=0))
+    assert 0.3 < is_seen.mean() < 0.8
+    assert is_seen[15, 20]
+    seen = pixels(camera, tangents[:, is_seen]) + 0.5
+    np.testing.assert_allclose(seen, (columns[is_seen], rows[is_seen]), atol=3)
 
 
 @pytest.mark.parametrize(

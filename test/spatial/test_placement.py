@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -26,7 +27,7 @@ from support.floor_scene import View, random_floor_scene, rendered, room
 from support.solids import KINDS, Cuboid, Kind
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
-from yolov5_lifecycle.spatial.camera_model import Intrinsics
+from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import MAX_BOXES_AT_ONCE, Box3D, Placement, Unplaced, place
 
@@ -159,6 +160,15 @@ def test_an_unusual_box_has_the_distance_of_a_wall(box: tuple[float, ...]) -> No
     (found,) = place(np.array([box], np.float32), SIZE_HW, in_metres(np.full(SIZE_HW, 3, np.float32)), CAMERA)
     assert isinstance(found, Box3D)
     assert found.centre_xyz_m[2] == pytest.approx(3.0)
+
+
+def test_what_the_lens_cannot_see_has_no_place() -> None:
+    camera = replace(CAMERA, fx=80.0, fy=80.0, distortion=Distortion("equidistant", (0.0,) * 4))
+    boxes_xyxy = np.array([[120, 80, 200, 160], [0, 0, 12, 12]], np.float32)
+    wall = in_metres(np.full(SIZE_HW, 3, np.float32))
+    seen, unseen = place(boxes_xyxy, SIZE_HW, wall, camera)
+    assert isinstance(seen, Box3D)
+    assert unseen is Unplaced.NO_VALID_DEPTH
 
 
 OTHER_SIZE = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, (480, 640))

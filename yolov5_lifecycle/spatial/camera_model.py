@@ -116,8 +116,8 @@ def intrinsics_of_message(camera_info: Any, *, is_rectified: bool = True) -> Int
     """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
 
     P counts where it is filled in, the camera of the rectified image, else K. Of an image that is not
-    rectified, and that D says is distorted, K and D count. Raises ImageError as `Intrinsics` and
-    `Distortion`, for matrices of another size, and for a frame_id longer than MAX_FRAME_ID.
+    rectified, K and D count, unless D says that a pinhole would show the same. Raises ImageError as
+    `Intrinsics` and `Distortion`, for matrices of another size, and for a frame_id longer than MAX_FRAME_ID.
     """
     check_frame_id(camera_info)
     k, p, d = camera_info.k, camera_info.p, tuple(map(float, camera_info.d))
@@ -126,8 +126,9 @@ def intrinsics_of_message(camera_info: Any, *, is_rectified: bool = True) -> Int
             f"Expected a camera_info with K of 9 and P of 12 values, found {len(k)} and {len(p)}."
         )
     size_hw = camera_info.height, camera_info.width
-    if not is_rectified and any(d):
-        distortion = Distortion(camera_info.distortion_model, d)
+    model = camera_info.distortion_model
+    if not is_rectified and (any(d) or model == "equidistant"):
+        distortion = Distortion(model, d)
         return Intrinsics(float(k[0]), float(k[4]), float(k[2]), float(k[5]), size_hw, distortion)
     fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
     return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)
@@ -168,8 +169,8 @@ def _undistorted(points_xy: Array, matrix: Array, coefficients: Array) -> Array:
         (right, down), ((xx, xy), (yx, yy)) = missing(tangents)
         steps = np.stack((yy * right - xy * down, xx * down - yx * right))
         tangents = tangents + (steps / (xx * yy - xy * yx)).T
-    errors_px, ((xx, xy), (yx, yy)) = missing(tangents)
-    is_found = (abs(errors_px).max(axis=0) < _MAX_ERROR_PX) & (xx * yy > xy * yx)  # and not mirrored
+    errors_px, _ = missing(tangents)
+    is_found = abs(errors_px).max(axis=0) < _MAX_ERROR_PX
     return np.where(is_found[:, None], tangents, np.nan)
 
 

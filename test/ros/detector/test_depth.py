@@ -131,11 +131,18 @@ def test_an_image_whose_detections_have_no_place_is_counted_with_the_reason(
     assert re.search(told, depth.run.reason)
 
 
-def test_a_camera_that_names_no_frame_has_that_of_the_other(depth: DepthInput) -> None:
+@pytest.mark.parametrize("frames", [("", "camera"), ("camera", "")], ids=["colour", "depth"])
+def test_a_camera_that_names_no_frame_has_that_of_the_other(
+    depth: DepthInput, frames: tuple[str, str]
+) -> None:
+    colour_frame, depth_frame = frames
     fill(depth)
-    image = placed(depth, frame_id="")
+    message = depth_message(SCENE.depth_m, 1.01)
+    message.header.frame_id = depth_frame
+    depth.take_image(message)
+    image = placed(depth, 1.01, frame_id=colour_frame)
     assert image is not None
-    assert image.frame_id == DEPTH_FRAME
+    assert image.frame_id == "camera"
 
 
 @pytest.mark.parametrize(
