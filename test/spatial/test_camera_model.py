@@ -42,11 +42,11 @@ def message(
 
 NO_P = [0.0] * 12
 OF_P, OF_K = Intrinsics(400.0, 410.0, 310.0, 230.0, SIZE_HW), Intrinsics(500.0, 510.0, 320.0, 240.0, SIZE_HW)
-BARREL = (-0.3, 0.1, 0.001, -0.002, -0.01)
+BARREL = (-0.35, 0.12, 0.001, -0.002, 0.0)
 IDEAL_FISHEYE = replace(OF_K, distortion=Distortion("equidistant", (0.0,) * 4))
 LENSES = {
     "none": OF_K,
-    "barrel": replace(OF_K, distortion=Distortion("plumb_bob", BARREL)),
+    "barrel": replace(OF_K, fx=400.0, fy=400.0, distortion=Distortion("plumb_bob", BARREL)),
     "pincushion of four numbers": replace(OF_K, distortion=Distortion("plumb_bob", (0.15, -0.1, 0.0, 0.001))),
     "rational": replace(
         OF_K, distortion=Distortion("rational_polynomial", (0.5, -2.7, 6e-4, -2e-4, 1.6, 0.38, -2.5, 1.5))
@@ -64,7 +64,14 @@ LENSES = {
         pytest.param(NO_P, "", (), True, OF_K, id="rectified, without P"),
         pytest.param(P, "plumb_bob", (0.0,) * 5, False, OF_P, id="no distortion"),
         pytest.param(NO_P, "", (), False, OF_K, id="nothing but K"),
-        pytest.param(P, "plumb_bob", BARREL, False, LENSES["barrel"], id="lens"),
+        pytest.param(
+            P,
+            "plumb_bob",
+            BARREL,
+            False,
+            replace(OF_K, distortion=Distortion("plumb_bob", BARREL)),
+            id="lens",
+        ),
         pytest.param(P, "equidistant", (0.0,) * 4, False, IDEAL_FISHEYE, id="ideal fisheye"),
         pytest.param(P, "unknown", BARREL, True, OF_P, id="rectified, of any lens"),
     ],

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.depth_scene import CAMERA
 
 from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, is_background, sampled
+from yolov5_lifecycle.spatial.camera_model import Distortion
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.surface import surfaces_m
 
@@ -103,6 +106,15 @@ def measured(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np
 )
 def test_planes_around_an_empty_box_are_all_background(depth_m: Depth) -> None:
     assert background(depth_m).mean() > 0.99
+
+
+def test_a_plane_goes_on_where_the_lens_sees_nothing() -> None:
+    camera = replace(CAMERA, fx=60.0, fy=60.0, distortion=Distortion("equidistant", (0.0,) * 4))
+    at_the_edge = np.array([[68, 100, 100, 132]], np.float32)
+    samples = sampled(DepthImage(np.full(CAMERA.size_hw, 3, np.float32), 1.0), at_the_edge, camera)
+    is_measured = ~np.isnan(samples.metres)
+    assert 0.7 < is_measured.mean() < 0.95
+    np.testing.assert_array_equal(is_background(samples), is_measured)
 
 
 def test_a_plane_is_found_in_noise_that_grows_with_the_square_of_the_depth() -> None:
