@@ -57,7 +57,7 @@ class Distortion:
         if len(self.coefficients) not in counts or not np.isfinite(self.coefficients).all():
             raise ImageError(
                 f"Expected {' or '.join(map(str, counts))} numbers D of {self.model}, found "
-                f"{str(self.coefficients)[:80]}. {remedy}."
+                f"{len(self.coefficients)}: {str(self.coefficients[:14])[:80]}. {remedy}."
             )
 
 

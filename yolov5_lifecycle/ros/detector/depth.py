@@ -198,7 +198,7 @@ class DepthInput:
             self.counts[name] += 1
         self.counts[_WITH_DEPTH] += 1
         self.run = None
-        return PlacedImage(placements, frame_id)
+        return PlacedImage(placements, frame_id or header.frame_id)
 
     def _is_rectified(self) -> bool:
         """By the name of the depth images, as image_proc and drivers give it: image_rect, image_rect_raw."""
