@@ -86,9 +86,11 @@ def test_p_counts_of_rectified_images_and_k_and_d_of_all_others(
     ("model", "d", "reason"),
     [
         pytest.param("unknown", BARREL, "rational_polynomial, equidistant, found 'unknown'", id="model"),
-        pytest.param("plumb_bob", BARREL[:3], r"4 or 5 numbers D of plumb_bob, found \(-0.3", id="too few"),
+        pytest.param(
+            "plumb_bob", BARREL[:3], r"4 or 5 numbers D of plumb_bob, found 3: \(-0.3", id="too few"
+        ),
         pytest.param("equidistant", BARREL, "4 numbers D of equidistant", id="too many"),
-        pytest.param("plumb_bob", (math.nan, *BARREL[1:]), "numbers D of plumb_bob, found .nan", id="NaN"),
+        pytest.param("plumb_bob", (math.nan, *BARREL[1:]), "numbers D of plumb_bob, found 5: .nan", id="NaN"),
         pytest.param("plumb_bob", (1e300, *BARREL[1:]), "25% of the image, found one for 0%", id="huge"),
         pytest.param("equidistant", (1e300, 1.0, 1.0, 1.0), "25% of the image, found", id="huge, fisheye"),
     ],
@@ -110,21 +112,28 @@ def test_a_ray_meets_the_image_where_it_came_from(lens: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "camera",
+    ("camera", "widest"),
     [
         pytest.param(
             replace(OF_K, fx=250.0, fy=250.0, distortion=Distortion("plumb_bob", (-0.3, 0.09, 0, 0, -0.012))),
+            1.79,
             id="the model folds over",
         ),
-        pytest.param(replace(IDEAL_FISHEYE, fx=150.0, fy=150.0), id="behind the camera"),
+        pytest.param(
+            replace(OF_K, fx=300.0, fy=300.0, distortion=Distortion("plumb_bob", (-0.3, 0, 0, 0))),
+            1.06,
+            id="the model folds over, and turns the image round",
+        ),
+        pytest.param(replace(IDEAL_FISHEYE, fx=150.0, fy=150.0), 29.0, id="behind the camera"),
     ],
 )
-def test_what_a_lens_cannot_see_has_no_ray(camera: Intrinsics) -> None:
+def test_what_a_lens_cannot_see_has_no_ray(camera: Intrinsics, widest: float) -> None:
     columns, rows = np.meshgrid(np.linspace(0, 640, 41), np.linspace(0, 480, 31))
     tangents = np.array(camera.tangents(columns, rows))
     is_seen = np.asarray(np.isfinite(tangents).all(axis=0))
     assert 0.3 < is_seen.mean() < 0.8
     assert is_seen[15, 20]
+    assert np.hypot(*tangents[:, is_seen]).max() < widest
     seen = pixels(camera, tangents[:, is_seen]) + 0.5
     np.testing.assert_allclose(seen, (columns[is_seen], rows[is_seen]), atol=3)
 

@@ -169,8 +169,9 @@ def _undistorted(points_xy: Array, matrix: Array, coefficients: Array) -> Array:
         (right, down), ((xx, xy), (yx, yy)) = missing(tangents)
         steps = np.stack((yy * right - xy * down, xx * down - yx * right))
         tangents = tangents + (steps / (xx * yy - xy * yx)).T
-    errors_px, _ = missing(tangents)
-    is_found = abs(errors_px).max(axis=0) < _MAX_ERROR_PX
+    errors_px, ((xx, xy), (yx, yy)) = missing(tangents)
+    is_before_fold = (xx * yy > xy * yx) & (xx + yy > 0)  # beyond it, an image is mirrored or turned round
+    is_found = (abs(errors_px).max(axis=0) < _MAX_ERROR_PX) & is_before_fold
     return np.where(is_found[:, None], tangents, np.nan)
 
 
