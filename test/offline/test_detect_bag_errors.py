@@ -12,13 +12,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_raising, run
 from support.grey_images import grey_folder
-from support.recorded_scene import COUNT, images, raw, record, text, video
+from support.recorded_scene import images, raw, record, text, video
 from support.refusals import Refused
 
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 
-MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+SQLITE = StoragePlugin.SQLITE3
 
 
 @pytest.mark.parametrize(
@@ -37,15 +37,15 @@ def test_detection_ends_after_too_many_failed_inferences(
 
 
 def no_images(folder: Path) -> Path:
-    return record(folder / "bag", [text()], storage=MCAP, topics=["/chatter"])
+    return record(folder / "bag", [text()], topics=["/chatter"])
 
 
 def two_topics(folder: Path) -> Path:
-    return record(folder / "bag", [raw(0)], storage=MCAP, topics=["/left", "/right"])
+    return record(folder / "bag", [raw(0)], topics=["/left", "/right"])
 
 
 def without_messages(folder: Path) -> Path:
-    return record(folder / "bag", [], storage=MCAP)
+    return record(folder / "bag", [])
 
 
 def all_unreadable(folder: Path) -> Path:
@@ -54,7 +54,7 @@ def all_unreadable(folder: Path) -> Path:
 
 def with_damaged_pages(folder: Path) -> Path:
     """A database that opens, and breaks when its messages are read."""
-    bag = record(folder / "bag", [raw(number) for number in range(COUNT)], storage=SQLITE)
+    bag = record(folder / "bag", storage=SQLITE)
     with (bag / "bag.db3").open("r+b") as file:
         file.seek(60_000)
         file.write(b"\xff" * 500_000)
@@ -62,13 +62,13 @@ def with_damaged_pages(folder: Path) -> Path:
 
 
 def a_good_one(folder: Path) -> Path:
-    return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=MCAP)
+    return record(folder / "bag")
 
 
 def many(folder: Path) -> Path:
     """A folder of recordings, beside another one."""
     (folder / "drives").mkdir()
-    record(folder / "other", [raw(0)], storage=MCAP)
+    record(folder / "other", [raw(0)])
     for name in ("drives/a.mcap", "drives/b.mcap", "bag.mcap"):
         (folder / name).touch()
     return folder / "drives"

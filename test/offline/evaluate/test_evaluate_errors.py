@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 from support.compressed_files import claiming_too_much
 from support.detected_offline import prepare_raising
 from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, report_of, run, shapes
@@ -81,7 +80,7 @@ def crowds_only(folder: Path) -> Path:
 
 
 def a_recording(folder: Path) -> Path:
-    return record(folder / "drive", [raw(0)], storage=StoragePlugin.MCAP)
+    return record(folder / "drive", [raw(0)])
 
 
 @pytest.mark.long

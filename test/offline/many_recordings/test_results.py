@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_once
 from support.many_recordings import plan_for, record_drives, result_of, rows
 from support.onnx_exports import small_export
@@ -88,7 +87,7 @@ def test_a_recording_that_grows_while_it_is_read_fails(drives: Path, tmp_path: P
 
 def test_images_that_cannot_be_read_are_counted_with_the_first_problem(tmp_path: Path) -> None:
     odd = [raw(0), raw(1, encoding="32FC1"), raw(2, encoding="32FC1")]
-    source = record(tmp_path / "odd", odd, storage=StoragePlugin.MCAP)
+    source = record(tmp_path / "odd", odd)
     result = result_of(source, plan_for(tmp_path / "found"))
     assert (result.images, result.detected, result.rejected) == (3, 1, 2)
     assert result.first_problem.startswith("1700000000.540000007: rejected: Encoding '32FC1'")
