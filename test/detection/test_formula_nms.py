@@ -38,7 +38,7 @@ def raw(size: str) -> NDArray[np.float32]:
     with torch.inference_mode():
         for name, tensor in network.head.m.named_parameters():
             if name.endswith("weight"):
-                tensor *= model["detect_gain"]
+                tensor.mul_(model["detect_gain"])
             else:
                 tensor.view(-1, network.head.outputs)[:, 4] += model["objectness_bias"]
         return np.asarray(network(formula_pixels(tuple(model["input_shape"])))[0])
