@@ -17,7 +17,7 @@ from support.depth_scene import (
     rays,
     tight_box,
 )
-from support.solids import Kind, Part, random_parts
+from support.solids import KINDS, Part
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class View:
         up = -down * math.cos(self.pitch) - forward * math.sin(self.pitch)
         away = forward * math.cos(self.pitch) - down * math.sin(self.pitch)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        return np.stack((c * x - s * away, np.broadcast_to(up, x.shape), s * x + c * away))
+        return np.stack((c * x - s * away, up, s * x + c * away))
 
     @property
     def origin(self) -> Array:
@@ -63,7 +63,7 @@ class View:
 
 
 def random_floor_scene(
-    rng: np.random.Generator, kind: Kind, *, is_ideal: bool = False, has_company: bool = False
+    rng: np.random.Generator, kind: str, *, is_ideal: bool = False, has_company: bool = False
 ) -> DepthScene:
     """An object on a floor before a wall, entirely in the image.
 
@@ -71,7 +71,7 @@ def random_floor_scene(
     pixels and 30 % holes, and the sides of the box are off. `has_company`: two other objects stand nearby.
     """
     while True:
-        view, parts = _random_view(rng), random_parts(rng, kind)
+        view, parts = _random_view(rng), KINDS[kind](rng)
         if not _fits(view, parts):
             continue
         surface = rendered(view, parts)
@@ -93,8 +93,7 @@ def random_floor_scene(
 
 def rendered(view: View, parts: tuple[Part, ...]) -> Array:
     """Depth (H, W) of an object, infinite beside it."""
-    x, y = rays()
-    directions = view.local(np.stack(np.broadcast_arrays(x, y, np.ones((1, 1)))))
+    directions = view.local(np.stack(rays()))
     depth_m: Array = np.minimum.reduce([part.depth_m(view.origin, directions) for part in parts])
     return depth_m
 
@@ -130,15 +129,13 @@ def _company(rng: np.random.Generator, view: View) -> Array:
         angle, metres = rng.uniform(0, 2 * math.pi), rng.uniform(0.6, 2.0)
         x_m, z_m = view.x_m + metres * math.sin(angle), view.z_m + metres * math.cos(angle)
         other = View(view.height_m, view.pitch, x_m, max(z_m, 0.5), rng.uniform(0, 2 * math.pi))
-        found.append(rendered(other, random_parts(rng, "person" if kind == "person" else "cuboid")))
+        found.append(rendered(other, KINDS[kind](rng)))
     return np.minimum(*found)
 
 
 def room(view: View, wall_m: float, turned: float = 0.0) -> Array:
     """Depth (H, W) of the floor and of an upright wall that far behind the middle of the object."""
-    x, y = rays()
-    level = View(view.height_m, view.pitch, 0, 0, turned)
-    _, up, away = level.local(np.stack(np.broadcast_arrays(x, y, np.ones((1, 1)))))
+    _, up, away = View(view.height_m, view.pitch, 0, 0, turned).local(np.stack(rays()))
     floor = np.where(up < -1e-6, view.height_m / np.maximum(-up, 1e-6), np.inf)
     nearest_m = math.sin(turned) * view.x_m + math.cos(turned) * view.z_m
     wall = np.where(away > 1e-6, (nearest_m + wall_m) / np.maximum(away, 1e-6), np.inf)
