@@ -121,14 +121,17 @@ def test_a_lost_gpu_or_a_full_disk_is_no_fault_of_a_recording(drives: Path, tmp_
     ],
 )
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
-    name: str, suffix: str, file: str, drives: Path, tmp_path: Path
+    name: str, suffix: str, file: str, drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, output = SourceRecording(Path(name).stem, drives / name), tmp_path / f"found{suffix}"
     assert result_of(source.path, plan_for(output, suffix=suffix, crops=True)).state == "done"
     folder = output / source.name
     assert {one.name for one in folder.iterdir()} - {"metadata.yaml"} == {file, "crops", RECORD_NAME}
+    inode = folder.stat().st_ino
     words = [str(source.path), "--output", str(output), "--jobs", "1", "--crops", *SET_MODEL]
     assert main(words) == 0
+    assert capsys.readouterr().err.startswith("recordings  1: 0 done, 1 skipped, 0 failed\n")
+    assert folder.stat().st_ino == inode
     row = rows(output)[source.name]
     assert row["state"] == "skipped"
     assert len(list((folder / "crops").rglob("*.jpg"))) == sum(row["detections"].values()) > 0
