@@ -93,11 +93,6 @@ def fuse_all(model: Any) -> None:
             vars(layer)["forward"] = pickled_method(layer, "forward_fuse")
 
 
-def nms() -> Any:
-    """As v3.1 to v5.0 add it to a model."""
-    return foreign("models.common.NMS", _modules={}, f=-1)
-
-
 def data_parallel(module: Any) -> nn.DataParallel[Any]:
     wrapper = nn.DataParallel.__new__(nn.DataParallel)
     vars(wrapper).update(_modules={"module": module}, src_device_obj=torch.device("cpu"))
@@ -174,7 +169,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "bytes that belong to no layer",
     ),
     "NMS added for an export": (
-        child("model", **{"9": nms()}),
+        child("model", **{"9": foreign("models.common.NMS", _modules={}, f=-1)}),
         "which YOLOv5 before 6.0 added for an export",
     ),
     "other activation": (
