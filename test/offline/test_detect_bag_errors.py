@@ -44,10 +44,6 @@ def two_topics(folder: Path) -> Path:
     return record(folder / "bag", [raw(0)], topics=["/left", "/right"])
 
 
-def without_messages(folder: Path) -> Path:
-    return record(folder / "bag", [])
-
-
 def all_unreadable(folder: Path) -> Path:
     return record(folder / "bag", [raw(0, encoding="32FC1")], storage=SQLITE)
 
@@ -74,14 +70,6 @@ def many(folder: Path) -> Path:
     return folder / "drives"
 
 
-def grey_image(folder: Path) -> Path:
-    return grey_folder(folder) / "8.png"
-
-
-def a_video(folder: Path) -> Path:
-    return video(folder / "drive.avi")
-
-
 @pytest.mark.parametrize(
     ("make", "words", "told"),
     [
@@ -98,7 +86,9 @@ def a_video(folder: Path) -> Path:
         pytest.param(
             all_unreadable, [], "none of 1 images could be used: see the reasons above", id="all unreadable"
         ),
-        pytest.param(without_messages, [], "has no messages. Did the camera", id="no messages"),
+        pytest.param(
+            lambda folder: record(folder / "bag", []), [], "has no messages. Did the camera", id="no messages"
+        ),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(a_good_one, ["--output", "bag"], "exists and is not replaced", id="output exists"),
         pytest.param(a_good_one, ["--output", "no/x"], "folder not found; create it", id="no folder"),
@@ -204,9 +194,15 @@ def limited(max_bytes: int, *words: object) -> subprocess.CompletedProcess[str]:
             a_good_one, 100_000, ["--images", "--output", "found"], "File too large", id="recording, MCAP"
         ),
         # Small enough for the buffer of a C program, which then fails only when it closes the file.
-        pytest.param(grey_image, 20, ["--annotated", "drawn.jpg"], "File too large", id="JPEG"),
         pytest.param(
-            a_video,
+            lambda folder: grey_folder(folder) / "8.png",
+            20,
+            ["--annotated", "drawn.jpg"],
+            "File too large",
+            id="JPEG",
+        ),
+        pytest.param(
+            lambda folder: video(folder / "drive.avi"),
             6_000,
             ["--annotated", "drawn.mp4", "--output", "found.jsonl"],
             "is the disk full?",
