@@ -88,13 +88,14 @@ def official_model(
     names: object = CLASS_NAMES,
     *,
     seed: int = 0,
-    kind: str = "models.yolo.DetectionModel",
+    kind: str = "",
     half: bool = True,
     network: Network | None = None,
     before_v6: bool = False,
 ) -> Any:
     """The whole pickled model: `vars(model)["_modules"]["model"]` are its layers, the last is the head."""
     network = network or random_network(seed, architecture)
+    kind = kind or f"models.yolo.{'Segmentation' if architecture.mask_coefficients else 'Detection'}Model"
     model = _official(network.half() if half else network, kind, before_v6=before_v6)
     layers = vars(model)["_modules"]["model"]
     vars(layers)["_modules"] = {

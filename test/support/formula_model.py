@@ -138,27 +138,19 @@ def family_architecture(name: str) -> Architecture:
     return dataclasses.replace(architecture, activation=found["activation"], other_activations=others)
 
 
-def _is_before_v6(name: str) -> bool:
-    return name.startswith(("v3.", "v4.", "v5."))
-
-
 def family_checkpoint(name: str) -> bytes:
     """The model of an entry as its version of YOLOv5 saves it, in float32."""
-    network = formula_model(name).network()
-    classes = network.architecture.classes
-    kind = "Model" if name.startswith(("v3.", "v4.", "v5.", "v6.0", "v6.1")) else "DetectionModel"
-    kind = "SegmentationModel" if network.architecture.mask_coefficients else kind
+    formula = formula_model(name)
+    before_v6 = name.startswith(("v3.", "v4.", "v5."))
     model = official_model(
-        network.architecture,
-        [f"class {index}" for index in range(classes)],
-        kind=f"models.yolo.{kind}",
+        formula.architecture,
+        formula.class_names,
+        kind="models.yolo.Model" if before_v6 or name.startswith(("v6.0", "v6.1")) else "",
         half=False,
-        network=network,
-        before_v6=_is_before_v6(name),
+        network=formula.network(),
+        before_v6=before_v6,
     )
-    model.yaml = families()[name]["yaml"] | (
-        {} if _is_before_v6(name) else {"ch": families()[name]["image_channels"]}
-    )
+    model.yaml = families()[name]["yaml"] | ({} if before_v6 else {"ch": formula.architecture.image_channels})
     return saved(stripped(model))
 
 

@@ -74,13 +74,8 @@ def anchors(values: object) -> Callable[[], bytes]:
 
 def segmentation(**attributes: object) -> Callable[[], bytes]:
     """A segmentation model whose head has other `attributes` than it should."""
-
-    def build() -> bytes:
-        model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
-        vars(head(model)).update(attributes)
-        return saved(stripped(model))
-
-    return build
+    architecture = SMALL_FAMILIES["segmentation"]
+    return changed(lambda model: vars(head(model)).update(attributes), architecture=architecture)
 
 
 def fuse_all(model: Any) -> None:
