@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import signal
-import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,6 +18,8 @@ import pytest
 _RUN = "YOLOV5_TEST_RUN"
 """Environment variable of all processes of a run: its folder."""
 _END_S = 10.0
+_SHARED_MEMORY = Path("/dev/shm")
+_OF_FAST_DDS = ("fastrtps_*", "sem.fastrtps_*", "fast_datasharing_*")
 
 
 class WholeRun:
@@ -27,6 +29,7 @@ class WholeRun:
         """`max_failures` end the run, none if 0."""
         self._max_failures = max_failures
         self._folder = os.environ[_RUN] = tempfile.mkdtemp(prefix="test-run-")
+        self._began_s = time.time()
         self._running: dict[str, float] = {}
 
     def pytest_sessionstart(self) -> None:
@@ -50,14 +53,9 @@ class WholeRun:
 
     @pytest.hookimpl(trylast=True)
     def pytest_unconfigure(self) -> None:
-        """End what tests and crashed workers have started, and free the memory that it shared.
-
-        A process that is killed leaves its own, if no other one is there to notice:
-        https://github.com/eProsima/Fast-DDS/issues/2377.
-        """
+        """End what tests and crashed workers have started, and free the memory that it shared."""
         end_processes(self._folder)
-        if fast_dds := shutil.which("fastdds"):
-            subprocess.run([fast_dds, "shm", "clean"], stdout=subprocess.DEVNULL, check=False)
+        remove_unused_memory(self._began_s)
         shutil.rmtree(self._folder)
 
 
@@ -101,3 +99,31 @@ def processes_of(folder: str) -> Iterator[int]:
         with contextlib.suppress(OSError):
             if mark in (process / "environ").read_bytes().split(b"\0"):
                 yield int(process.name)
+
+
+def remove_unused_memory(began_s: float) -> None:
+    """Remove the shared memory of Fast DDS made since `began_s` (time.time()), mapped by no living process.
+
+    A process that is killed leaves its own, if no other one is there to notice:
+    https://github.com/eProsima/Fast-DDS/issues/2377.
+    """
+    files = [path for pattern in _OF_FAST_DDS for path in _SHARED_MEMORY.glob(pattern)]
+    used = mapped_files()
+    for path in files:
+        with contextlib.suppress(OSError):
+            if segment_of(path) not in used and path.stat().st_ctime >= began_s:
+                path.unlink()
+
+
+def segment_of(path: Path) -> str:
+    """The segment or port that a lock or a semaphore belongs to."""
+    return re.sub(r"_(el|sl|mutex)$", "", str(path).replace("/sem.", "/"))
+
+
+def mapped_files() -> set[str]:
+    """Paths of the shared memory that any process has mapped, as far as this user may know."""
+    found = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        with contextlib.suppress(OSError):
+            found.update(re.findall(r"(/dev/shm/\S+)", maps.read_text()))
+    return found
