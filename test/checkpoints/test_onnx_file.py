@@ -6,9 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from onnx import numpy_helper
 from support import hostile_onnx
 from support.checkpoint_builder import SMALL
 from support.onnx_exports import NAMES, exported, small_export
@@ -109,14 +107,7 @@ def weights_as_inputs(model: Any) -> None:
         model.graph.input.add(name=array.name)
 
 
-def raw_outputs(model: Any) -> None:
-    """As before v6.2, beside the boxes."""
-    model.graph.initializer.append(numpy_helper.from_array(np.array([0, 1, 8, 2, 3]), "five"))
-    model.graph.node.add(op_type="Reshape", input=["cells", "five"], output=["raw"])
-    model.graph.output.add(name="raw")
-
-
-@pytest.mark.parametrize("change", [weights_as_constants, weights_as_inputs, raw_outputs])
+@pytest.mark.parametrize("change", [weights_as_constants, weights_as_inputs])
 def test_an_export_of_another_exporter_is_read(change: Callable[[Any], None]) -> None:
     assert read_onnx(hostile_onnx.changed(change)()).class_names == NAMES
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.candidates import candidate, frames_of, look_of, rules
+from support.gate import PATIENCE_S, Gate
 
 from yolov5_lifecycle.collecting import collector as module
 from yolov5_lifecycle.collecting.candidate import Detail, Origin, Pace, Trigger
@@ -19,7 +20,6 @@ from yolov5_lifecycle.collecting.collected_folder import CollectedFolder, Quota
 from yolov5_lifecycle.collecting.collector import MAX_WAITING, MAX_WAITING_BYTES, RETRY_S, Collector
 from yolov5_lifecycle.images.image import ColourImage
 
-PATIENCE_S = 60.0
 QUOTA = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
 
 
@@ -40,17 +40,14 @@ class Disk:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.gate = threading.Event()
-        self.gate.set()
-        self.opening = threading.Event()
+        self.gate = Gate(is_open=True)
         self.failures: list[str] = []
         self.quota = QUOTA
         self.clock = Clock()
         self.collector = Collector(self.open, clock=self.clock)
 
     def open(self) -> CollectedFolder:
-        self.opening.set()
-        assert self.gate.wait(PATIENCE_S)
+        self.gate.passed()
         if self.failures:
             raise OSError(self.failures.pop())
         return CollectedFolder(self.path, self.quota)
@@ -65,7 +62,7 @@ class Disk:
 def disk(tmp_path: Path) -> Iterator[Disk]:
     disk = Disk(tmp_path)
     yield disk
-    disk.gate.set()
+    disk.gate.open()
     assert disk.collector.close(PATIENCE_S)
 
 
@@ -140,20 +137,20 @@ def test_of_the_frames_of_some_minutes_the_best_are_kept(
 
 
 def test_a_slow_disk_delays_no_frame_and_what_is_lost_is_counted(disk: Disk) -> None:
-    disk.gate.clear()
+    disk.gate.close()
     disk.collector.offer(candidate(0))
-    assert disk.opening.wait(PATIENCE_S)
+    disk.gate.wait()
     for seed in range(1, MAX_WAITING + 5):
         disk.collector.offer(candidate(seed))
     assert disk.collector.status.dropped == 4
-    disk.gate.set()
+    disk.gate.open()
     assert len(disk.settled()) == 1 + MAX_WAITING
 
 
 def test_large_frames_that_wait_have_a_bound_of_memory(disk: Disk) -> None:
-    disk.gate.clear()
+    disk.gate.close()
     disk.collector.offer(candidate(0))
-    assert disk.opening.wait(PATIENCE_S)
+    disk.gate.wait()
     side = 4096
     large = ColourImage(np.zeros((side, side, 3), np.uint8), "bgr")
     for _ in range(MAX_WAITING):
@@ -203,9 +200,9 @@ def test_a_disk_that_fails_is_left_alone_for_a_while_and_then_used_again(disk: D
 
 
 def test_a_disk_that_hangs_does_not_keep_the_process(disk: Disk) -> None:
-    disk.gate.clear()
+    disk.gate.close()
     disk.collector.offer(candidate())
-    assert disk.opening.wait(PATIENCE_S)
+    disk.gate.wait()
     assert not disk.collector.close(0.01)
 
 

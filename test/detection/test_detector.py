@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.gate import PATIENCE_S
 from support.random_model import CLASS_NAMES, random_model
 from support.runtime_names import EVERY_RUNTIME
-from support.scripted_camera import PATIENCE_S
 from support.scripted_runtime import ScriptedRuntime
 
 from yolov5_lifecycle.detection.detector import Detector

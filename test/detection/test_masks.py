@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import ArrayLike, NDArray
 from support.colcon_workspace import REPOSITORY
-from support.formula_model import family_network, family_pixels
+from support.formula_model import expected_predictions, formula_model, formula_pixels
 from support.reference_masks import reference_mask, whole_mask
 
 from yolov5_lifecycle.detection.masks import Masks
@@ -32,12 +32,11 @@ def name(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def prototypes(name: str) -> NDArray[np.float32]:
-    network = family_network(name)
+    network = formula_model(name).network().eval()
     assert isinstance(network.head, Segment)
     with torch.inference_mode():
-        computed: NDArray[np.float32] = network.head.proto(network.features(family_pixels(name))[0])[
-            0
-        ].numpy()
+        features = network.features(formula_pixels(expected_predictions(name).input_shape))
+        computed: NDArray[np.float32] = network.head.proto(features[0])[0].numpy()
     return computed
 
 

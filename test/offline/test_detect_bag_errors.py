@@ -12,13 +12,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_raising, run
 from support.grey_images import grey_folder
-from support.recorded_scene import COUNT, images, raw, record, text, video
+from support.recorded_scene import images, raw, record, text, video
 from support.refusals import Refused
 
 from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError, InferenceError
 
-MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+SQLITE = StoragePlugin.SQLITE3
 
 
 @pytest.mark.parametrize(
@@ -37,15 +37,11 @@ def test_detection_ends_after_too_many_failed_inferences(
 
 
 def no_images(folder: Path) -> Path:
-    return record(folder / "bag", [text()], storage=MCAP, topics=["/chatter"])
+    return record(folder / "bag", [text()], topics=["/chatter"])
 
 
 def two_topics(folder: Path) -> Path:
-    return record(folder / "bag", [raw(0)], storage=MCAP, topics=["/left", "/right"])
-
-
-def without_messages(folder: Path) -> Path:
-    return record(folder / "bag", [], storage=MCAP)
+    return record(folder / "bag", [raw(0)], topics=["/left", "/right"])
 
 
 def all_unreadable(folder: Path) -> Path:
@@ -54,7 +50,7 @@ def all_unreadable(folder: Path) -> Path:
 
 def with_damaged_pages(folder: Path) -> Path:
     """A database that opens, and breaks when its messages are read."""
-    bag = record(folder / "bag", [raw(number) for number in range(COUNT)], storage=SQLITE)
+    bag = record(folder / "bag", storage=SQLITE)
     with (bag / "bag.db3").open("r+b") as file:
         file.seek(60_000)
         file.write(b"\xff" * 500_000)
@@ -62,24 +58,16 @@ def with_damaged_pages(folder: Path) -> Path:
 
 
 def a_good_one(folder: Path) -> Path:
-    return record(folder / "bag", [raw(number) for number in range(COUNT)], storage=MCAP)
+    return record(folder / "bag")
 
 
 def many(folder: Path) -> Path:
     """A folder of recordings, beside another one."""
     (folder / "drives").mkdir()
-    record(folder / "other", [raw(0)], storage=MCAP)
+    record(folder / "other", [raw(0)])
     for name in ("drives/a.mcap", "drives/b.mcap", "bag.mcap"):
         (folder / name).touch()
     return folder / "drives"
-
-
-def grey_image(folder: Path) -> Path:
-    return grey_folder(folder) / "8.png"
-
-
-def a_video(folder: Path) -> Path:
-    return video(folder / "drive.avi")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +86,9 @@ def a_video(folder: Path) -> Path:
         pytest.param(
             all_unreadable, [], "none of 1 images could be used: see the reasons above", id="all unreadable"
         ),
-        pytest.param(without_messages, [], "has no messages. Did the camera", id="no messages"),
+        pytest.param(
+            lambda folder: record(folder / "bag", []), [], "has no messages. Did the camera", id="no messages"
+        ),
         pytest.param(with_damaged_pages, [], "the recording cannot be read", id="damaged pages"),
         pytest.param(a_good_one, ["--output", "bag"], "exists and is not replaced", id="output exists"),
         pytest.param(a_good_one, ["--output", "no/x"], "folder not found; create it", id="no folder"),
@@ -204,9 +194,15 @@ def limited(max_bytes: int, *words: object) -> subprocess.CompletedProcess[str]:
             a_good_one, 100_000, ["--images", "--output", "found"], "File too large", id="recording, MCAP"
         ),
         # Small enough for the buffer of a C program, which then fails only when it closes the file.
-        pytest.param(grey_image, 20, ["--annotated", "drawn.jpg"], "File too large", id="JPEG"),
         pytest.param(
-            a_video,
+            lambda folder: grey_folder(folder) / "8.png",
+            20,
+            ["--annotated", "drawn.jpg"],
+            "File too large",
+            id="JPEG",
+        ),
+        pytest.param(
+            lambda folder: video(folder / "drive.avi"),
             6_000,
             ["--annotated", "drawn.mp4", "--output", "found.jsonl"],
             "is the disk full?",

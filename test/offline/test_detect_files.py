@@ -117,11 +117,11 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.parametrize(
     ("source", "words", "told"),
     [
-        pytest.param("empty", [], "has no images", id="empty folder"),
+        pytest.param("empty.mp4", [], "has no images", id="empty folder that is called like a video"),
         pytest.param("missing", [], "file or folder not found", id="missing"),
         pytest.param("shots/0.png", ["--output", "lines.jsonl"], "exists and is not", id="lines exist"),
         pytest.param("shots", ["--output", "x.txt"], "expected a name that ends in .jsonl", id="format"),
-        pytest.param("shots", ["--annotated", "empty"], "exists and is not", id="drawings exist"),
+        pytest.param("shots", ["--annotated", "empty.mp4"], "exists and is not", id="drawings exist"),
         pytest.param(
             "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="image suffix"
         ),
@@ -149,7 +149,7 @@ def test_an_error_with_files_says_why_and_leaves_nothing_behind(
     video(tmp_path / "drive.avi")
     Path("bad\udcff").mkdir()
     shutil.copy("drive.avi", "bad\udcff/0.avi")
-    Path("empty").mkdir()
+    Path("empty.mp4").mkdir()
     Path("lines.jsonl").touch()
     assert told in refused(run, source, *SET_MODEL, *words)
 

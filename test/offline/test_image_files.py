@@ -14,7 +14,6 @@ import pytest
 from support.recorded_scene import video
 
 from yolov5_lifecycle.images.image import ColourImage, ImageError
-from yolov5_lifecycle.offline.detect_bag import main
 from yolov5_lifecycle.offline.export.exporting import annotated_video, is_whole_video
 from yolov5_lifecycle.offline.image_files import ImageFile, VideoFile
 from yolov5_lifecycle.sources.frames import SourceError
@@ -43,14 +42,6 @@ def test_what_is_no_video_is_refused(tmp_path: Path, make: Callable[[Path], obje
     make(tmp_path / "drive.avi")
     with pytest.raises(SourceError, match=r"neither as an image nor|without a readable image"):
         VideoFile.open(tmp_path / "drive.avi")
-
-
-def test_a_folder_that_is_called_like_a_video_is_a_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "drive.mp4").mkdir()
-    assert main([str(tmp_path / "drive.mp4")]) == 1
-    assert "drive.mp4 has no images" in capsys.readouterr().err
 
 
 def written(path: Path, *sizes_hw: tuple[int, int]) -> Path:

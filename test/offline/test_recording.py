@@ -206,14 +206,14 @@ def computed_column(folder: Path) -> Path:
 
 
 def a_pipe_in_place_of(name: str, folder: Path) -> Path:
-    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    bag = record(folder / "bag", [raw(0)])
     (bag / name).unlink()
     os.mkfifo(bag / name)
     return bag
 
 
 def metadata_with(text: str, folder: Path) -> Path:
-    bag = record(folder / "bag", [raw(0)], storage=MCAP)
+    bag = record(folder / "bag", [raw(0)])
     (bag / "metadata.yaml").write_text(text)
     return bag
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from support.gate import PATIENCE_S
 from support.random_model import (
     CLASS_NAMES,
     TINY,
@@ -22,7 +23,6 @@ from support.random_model import (
     random_network,
 )
 from support.runtime_names import EVERY_RUNTIME
-from support.scripted_camera import PATIENCE_S
 
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, select

@@ -13,13 +13,10 @@ from numpy.typing import NDArray
 from support.formula_model import (
     EVERY_FAMILY,
     EVERY_SIZE,
-    expected_family,
     expected_predictions,
     families,
     family_architecture,
     family_checkpoint,
-    family_network,
-    family_pixels,
     formula_model,
     formula_pixels,
     modules_digest,
@@ -68,7 +65,8 @@ def test_a_file_predicts_what_the_official_network_predicts_fused_or_not_and_con
     model = read_checkpoint(data)
     assert model.architecture == family_architecture(name)
 
-    network, pixels, expected = model.network().eval(), family_pixels(name), expected_family(name)
+    network, expected = model.network().eval(), expected_predictions(name)
+    pixels = formula_pixels(expected.input_shape)
     with torch.inference_mode():
         expected.check(network(pixels)[0].numpy())
         expected.check(fuse(network)(pixels)[0].numpy())
@@ -84,10 +82,9 @@ def test_a_file_predicts_what_the_official_network_predicts_fused_or_not_and_con
 @pytest.mark.parametrize("name", [*SIZES, *EVERY_FAMILY])
 @pytest.mark.parametrize("runtime_name", COMPILED_RUNTIMES)
 def test_a_compiled_network_predicts_what_the_official_one_predicts(runtime_name: str, name: str) -> None:
-    expected = expected_predictions(name) if name in SIZES else expected_family(name)
-    network = formula_model(name).network() if name in SIZES else family_network(name)
+    expected = expected_predictions(name)
     pixels = formula_pixels(expected.input_shape).numpy()
-    expected.check(compiled_predictions(network, runtime_name, pixels))
+    expected.check(compiled_predictions(formula_model(name).network().eval(), runtime_name, pixels))
 
 
 def compiled_predictions(

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from random import Random
 
 import pytest
-from support.scripted_camera import PATIENCE_S
+from support.gate import PATIENCE_S
 
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome

@@ -7,7 +7,8 @@ import weakref
 from collections.abc import Iterator, Sequence
 
 import pytest
-from support.scripted_camera import PATIENCE_S, ScriptedCamera, when_awaited
+from support.gate import PATIENCE_S
+from support.scripted_camera import ScriptedCamera, when_awaited
 
 from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Send
@@ -48,7 +49,7 @@ def test_a_newer_frame_replaces_only_the_one_of_its_own_camera_that_waits(line: 
     line.other.offer(5)
     line.offer(2, 3, 4)
     assert line.balance()["pending"] == 2
-    line.gate.set()
+    line.gate.open()
     for camera in (line, line, line.other):
         camera.wait()
     assert (line.published, line.other.published) == ([1, 4], [5])
@@ -106,7 +107,7 @@ def test_close_waits_for_the_frame_in_progress_flushes_the_waiting_ones_and_ends
     line.hold(1)
     line.offer(2)
     line.other.offer(2)
-    when_awaited(line.inference, line.gate.set)
+    when_awaited(line.inference, line.gate.open)
     assert line.inference.close(PATIENCE_S)
     assert line.published == [1]
     line.offer(3)
@@ -122,7 +123,7 @@ def test_the_time_spent_on_the_current_frame_is_that_of_its_camera(line: Line) -
     line.other.offer(2)
     line.now_s += 2.5
     assert (line.inference.busy_s(line.queue), line.inference.busy_s(line.other.queue)) == (2.5, 0)
-    line.gate.set()
+    line.gate.open()
     line.wait()
     assert line.inference.busy_s(line.queue) == 0
 
@@ -135,7 +136,7 @@ def test_what_hangs_is_abandoned_and_what_comes_late_dropped(line: Line, number:
     assert not line.inference.close(0.01)
     assert not line.inference.rest(0.0)
     assert line.inference.hanging == 1
-    line.gate.set()
+    line.gate.open()
     line.threads[0].join(PATIENCE_S)
     assert len(line.threads) == 1, "it is not asked for messages, which would update the tracker"
     assert line.inference.hanging == 0
@@ -147,15 +148,12 @@ def test_what_hangs_is_abandoned_and_what_comes_late_dropped(line: Line, number:
 def test_a_frame_that_hangs_after_its_detections_are_sent_is_abandoned_as_detected(
     line: Line, moment: str
 ) -> None:
-    gate, entered = {
-        "publishing": (line.publish_gate, line.publishing),
-        "drawing": (line.draw_gate, line.drawing),
-    }[moment]
-    gate.clear()
+    gate = {"publishing": line.publishing, "drawing": line.drawing}[moment]
+    gate.close()
     line.offer(1)
-    assert entered.wait(PATIENCE_S)
+    gate.wait()
     assert not line.inference.close(0.0)
-    gate.set()
+    gate.open()
     line.threads[0].join(PATIENCE_S)
     assert (line.published, line.drawn) == ([1], [])
     assert line.counts() == {Outcome.DETECTED: 1}
@@ -176,7 +174,7 @@ def test_a_second_wait_continues_the_time_of_the_first(line: Line) -> None:
     assert not line.inference.rest(0.0)
     line.now_s += 3600
     assert not line.inference.close(3600)  # at once: otherwise this test runs into its time limit
-    line.gate.set()
+    line.gate.open()
     line.threads[0].join(PATIENCE_S)
 
 
@@ -200,7 +198,7 @@ def test_a_new_pipeline_takes_over_at_the_next_frame(line: Line) -> None:
     line.hold(1)
     line.start(Negated(line.published))
     line.offer(2)
-    line.gate.set()
+    line.gate.open()
     line.wait()
     line.wait()
     assert line.published == [1, -2]
@@ -217,7 +215,7 @@ def test_rest_ends_when_the_frame_in_progress_does_although_frames_go_on(line: L
     line.hold(1)
     assert not line.inference.rest(0.01)
     line.offer(2, 3)
-    opener = threading.Timer(0.05, line.gate.set)
+    opener = threading.Timer(0.05, line.gate.open)
     opener.start()
     assert line.inference.rest(PATIENCE_S)
     assert 1 in line.published
@@ -267,11 +265,11 @@ class Cameras:
         first, second, third, _ = self.all
         first.hold(1)
         for camera in (second, third):
-            camera.gate.clear()
+            camera.gate.close()
             camera.offer(1)
         first.open()
         for camera in (second, third):
-            assert camera.entered.wait(PATIENCE_S)
+            camera.gate.wait()
 
     def open(self) -> None:
         for camera in self.all:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
@@ -36,38 +36,14 @@ SMALL = Architecture(
 )
 """One layer of each kind: quick to write and to read."""
 _CLASSES: dict[str, type] = {}
-_OFFICIAL_NAMES = {
-    **{
-        kind: f"models.common.{kind}"
-        for kind in (
-            *("Conv", "DWConv", "Focus", "Bottleneck", "CrossConv", "GhostConv", "GhostBottleneck"),
-            *("C3", "C3x", "C3Ghost", "C3SPP", "C3TR", "TransformerBlock", "TransformerLayer"),
-            *("BottleneckCSP", "SPP", "SPPF", "Concat", "Contract", "Expand", "DWConvTranspose2d"),
-        )
-    },
-    "MixConv2d": "models.experimental.MixConv2d",
-    "Detect": "models.yolo.Detect",
-    "Segment": "models.yolo.Segment",
-    "Proto": "models.common.Proto",
-}
-"""The classes of v7, by the names of ours."""
-_BEFORE_V6 = {
-    "DWConv": "models.common.Conv",
-    **{kind: f"models.experimental.{kind}" for kind in ("GhostConv", "GhostBottleneck", "CrossConv")},
-}
+_ELSEWHERE = {"MixConv2d": "experimental", "Detect": "yolo", "Segment": "yolo"}
+"""Where v7 has the classes that are not in models.common."""
+_ELSEWHERE_BEFORE_V6 = _ELSEWHERE | dict.fromkeys(
+    ("GhostConv", "GhostBottleneck", "CrossConv"), "experimental"
+)
 _OF_TORCH = ("Upsample", "MaxPool2d", "ZeroPad2d", "ConvTranspose2d")
-_OWN_ATTRIBUTES = {
-    "architecture",
-    "strides",
-    "outputs",
-    "coefficients",
-    "anchors_per_cell",
-    "steps",
-    "_kernels",
-    "_is_folded",
-    "_sources",
-    "_last_read",
-}
+_ATTRIBUTES = {*vars(nn.ConvTranspose2d(1, 1, 1)), "add", "gain"}
+"""Those of our modules that YOLOv5's have, too."""
 
 
 def foreign(name: str, **attributes: object) -> Any:
@@ -112,15 +88,15 @@ def official_model(
     names: object = CLASS_NAMES,
     *,
     seed: int = 0,
-    kind: str = "models.yolo.DetectionModel",
+    kind: str = "",
     half: bool = True,
     network: Network | None = None,
     before_v6: bool = False,
 ) -> Any:
     """The whole pickled model: `vars(model)["_modules"]["model"]` are its layers, the last is the head."""
     network = network or random_network(seed, architecture)
-    names_of_classes = _OFFICIAL_NAMES | (_BEFORE_V6 if before_v6 else {})
-    model = _official(network.half() if half else network, names_of_classes, kind)
+    kind = kind or f"models.yolo.{'Segmentation' if architecture.mask_coefficients else 'Detection'}Model"
+    model = _official(network.half() if half else network, kind, before_v6=before_v6)
     layers = vars(model)["_modules"]["model"]
     vars(layers)["_modules"] = {
         key: _placed(child, layer, int(key))
@@ -239,24 +215,31 @@ def _listed(argument: object) -> object:
     return list(argument) if isinstance(argument, tuple) else argument
 
 
-def _official(module: nn.Module, names: Mapping[str, str], name: str = "") -> Any:
+def _official(module: nn.Module, name: str = "", *, before_v6: bool) -> Any:
     """The module with the project's classes replaced by YOLOv5's; torch's own stay what they are."""
-    children = {key: _official(child, names) for key, child in vars(module)["_modules"].items()}
-    own = type(module).__module__.startswith("yolov5_lifecycle.")
-    name = name or names.get(type(module).__name__, "") if own else ""
-    if name:
-        state = {key: value for key, value in vars(module).items() if key not in _OWN_ATTRIBUTES}
-        if name.endswith(".Concat"):
+    items = vars(module)["_modules"].items()
+    children = {key: _official(child, before_v6=before_v6) for key, child in items}
+    kind = type(module)
+    own = kind.__module__.startswith("yolov5_lifecycle.")
+    if own and kind.__name__ not in _OF_TORCH:
+        state = {key: value for key, value in vars(module).items() if key in _ATTRIBUTES}
+        if kind.__name__ == "Concat":
             state["d"] = 1
         if isinstance(children.get("bn"), nn.Identity):  # as fuse() leaves it
             del children["bn"]
-        return foreign(name, **state | {"_modules": children})
-    kind: type[nn.Module] = nn.ConvTranspose2d if own else type(module)
+        return foreign(name or _official_name(kind.__name__, before_v6), **state | {"_modules": children})
+    kind = nn.ConvTranspose2d if own else kind
     if kind is nn.ModuleList and any("models.yolo" in type(child).__module__ for child in children.values()):
         kind = nn.Sequential
     copy = kind.__new__(kind)
     vars(copy).update(vars(module) | {"_modules": children})
     return copy
+
+
+def _official_name(kind: str, before_v6: bool) -> str:
+    if before_v6 and kind == "DWConv":
+        return "models.common.Conv"
+    return f"models.{(_ELSEWHERE_BEFORE_V6 if before_v6 else _ELSEWHERE).get(kind, 'common')}.{kind}"
 
 
 def _placed(module: Any, layer: Layer, index: int) -> Any:

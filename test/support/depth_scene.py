@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from support.solids import Sphere
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 
 Shape = Literal["board", "disc", "sphere", "pole", "diagonal", "frame"]
@@ -101,11 +102,13 @@ def random_depth_scene(
     )
 
 
-def rays(camera: Intrinsics = CAMERA) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x / z and y / z (H, W) of each pixel's centre; NaN where a lens sees nothing."""
+def rays(
+    camera: Intrinsics = CAMERA,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """x / z, y / z and 1 of each pixel's centre, (H, W) each; NaN where a lens sees nothing."""
     height, width = camera.size_hw
     x, y = np.broadcast_arrays(*camera.tangents(np.arange(0.5, width), np.arange(0.5, height)[:, None]))
-    return x, y
+    return x, y, np.ones_like(x)
 
 
 def pixels(camera: Intrinsics, tangents: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -125,7 +128,7 @@ def _plane(
     depth_m: float, slope_x: float, slope_y: float, centre_xy: tuple[float, float]
 ) -> NDArray[np.float64]:
     """Depth (H, W) of a plane through (x, y, 1) * depth_m, whose depth grows by slope metres per metre."""
-    x, y = rays()
+    x, y, _ = rays()
     x0, y0 = centre_xy
     scale = 1 - slope_x * x0 - slope_y * y0
     return depth_m * scale / np.maximum(1 - slope_x * x - slope_y * y, 0.05)
@@ -158,7 +161,7 @@ def _object_surface(
 def _silhouette(
     rng: np.random.Generator, shape: Shape, radius: float, centre_xy: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    x, y = rays()
+    x, y, _ = rays()
     dx, dy = (x - centre_xy[0]) / radius, (y - centre_xy[1]) / radius
     aspect = rng.uniform(0.4, 1.0)
     if shape == "disc":
@@ -176,13 +179,10 @@ def _silhouette(
 
 
 def _sphere(depth_m: float, radius: float, centre_xy: tuple[float, float]) -> NDArray[np.float64]:
-    """Ray-cast sphere whose nearest point is about `depth_m` away."""
-    x, y = rays()
+    """Sphere whose nearest point is about `depth_m` away."""
     metres = min(depth_m * radius, 0.4)
-    centre = np.array([*centre_xy, 1.0]) * (depth_m + metres)
-    along = (x * centre[0] + y * centre[1] + centre[2]) / (squared := x**2 + y**2 + 1)
-    inside = along**2 - (centre @ centre - metres**2) / squared
-    return np.where(inside > 0, along - np.sqrt(np.maximum(inside, 0)), np.inf)
+    x, y, z = (np.array([*centre_xy, 1.0]) * (depth_m + metres)).tolist()
+    return Sphere((x, y, z), metres).depth_m(np.zeros(3), np.stack(rays()))
 
 
 def _occluder(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -203,10 +203,9 @@ def _floor_below(surface: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth (H, W) of a floor on which the object stands, and of a wall behind it."""
     bottom = tight_box(np.isfinite(surface))[3]
     depth_m = float(np.min(surface[bottom - 1]))
-    _, y = rays()
+    _, y, _ = rays()
     height_m = max(y[bottom - 1, 0], 0.1) * depth_m
-    floor = np.minimum(height_m / np.maximum(y, 1e-3), 3 * depth_m)
-    return np.asarray(np.broadcast_to(floor, surface.shape), np.float64)
+    return np.asarray(np.minimum(height_m / np.maximum(y, 1e-3), 3 * depth_m), np.float64)
 
 
 def _beside(rng: np.random.Generator, surface: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -224,10 +223,9 @@ def bounds(
     surface: NDArray[np.float64], camera: Intrinsics = CAMERA
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper corner (3,) of the surface's bounding box in metres."""
-    x, y = rays(camera)
     seen = np.isfinite(surface)
-    points = np.stack([(plane * np.where(seen, surface, 0))[seen] for plane in (x, y, 1.0)], axis=1)
-    return points.min(axis=0), points.max(axis=0)
+    points = np.stack(rays(camera))[:, seen] * surface[seen]
+    return points.min(axis=1), points.max(axis=1)
 
 
 def tight_box(seen: NDArray[np.bool_]) -> tuple[int, int, int, int]:

@@ -18,7 +18,7 @@ from support.depth_scene import (
     rays,
     tight_box,
 )
-from support.solids import Kind, Part, random_parts
+from support.solids import KINDS, Part
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ class View:
         up = -down * math.cos(self.pitch) - forward * math.sin(self.pitch)
         away = forward * math.cos(self.pitch) - down * math.sin(self.pitch)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        return np.stack((c * x - s * away, np.broadcast_to(up, x.shape), s * x + c * away))
+        return np.stack((c * x - s * away, up, s * x + c * away))
 
     @property
     def origin(self) -> Array:
@@ -66,7 +66,7 @@ class View:
 
 def random_floor_scene(
     rng: np.random.Generator,
-    kind: Kind,
+    kind: str,
     *,
     is_ideal: bool = False,
     has_company: bool = False,
@@ -79,7 +79,7 @@ def random_floor_scene(
     `camera` has an image of the size of CAMERA.
     """
     while True:
-        view, parts = _random_view(rng), random_parts(rng, kind)
+        view, parts = _random_view(rng), KINDS[kind](rng)
         if not _fits(view, parts, camera):
             continue
         surface = rendered(view, parts, camera)
@@ -101,15 +101,9 @@ def random_floor_scene(
 
 def rendered(view: View, parts: tuple[Part, ...], camera: Intrinsics = CAMERA) -> Array:
     """Depth (H, W) of an object, infinite beside it."""
-    directions = view.local(_directions(camera))
+    directions = view.local(np.stack(rays(camera)))
     depth_m: Array = np.minimum.reduce([part.depth_m(view.origin, directions) for part in parts])
     return depth_m
-
-
-def _directions(camera: Intrinsics) -> Array:
-    """Of the rays of all pixels (3, H, W), 1 along the optical axis."""
-    x, y = rays(camera)
-    return np.stack((x, y, np.ones_like(x)))
 
 
 def _random_view(rng: np.random.Generator) -> View:
@@ -143,14 +137,13 @@ def _company(rng: np.random.Generator, view: View, camera: Intrinsics) -> Array:
         angle, metres = rng.uniform(0, 2 * math.pi), rng.uniform(0.6, 2.0)
         x_m, z_m = view.x_m + metres * math.sin(angle), view.z_m + metres * math.cos(angle)
         other = View(view.height_m, view.pitch, x_m, max(z_m, 0.5), rng.uniform(0, 2 * math.pi))
-        found.append(rendered(other, random_parts(rng, "person" if kind == "person" else "cuboid"), camera))
+        found.append(rendered(other, KINDS[kind](rng), camera))
     return np.minimum(*found)
 
 
 def room(view: View, wall_m: float, turned: float = 0.0, camera: Intrinsics = CAMERA) -> Array:
     """Depth (H, W) of the floor and of an upright wall that far behind the middle of the object."""
-    level = View(view.height_m, view.pitch, 0, 0, turned)
-    _, up, away = level.local(_directions(camera))
+    _, up, away = View(view.height_m, view.pitch, 0, 0, turned).local(np.stack(rays(camera)))
     floor = np.where(up < -1e-6, view.height_m / np.maximum(-up, 1e-6), np.inf)
     nearest_m = math.sin(turned) * view.x_m + math.cos(turned) * view.z_m
     wall = np.where(away > 1e-6, (nearest_m + wall_m) / np.maximum(away, 1e-6), np.inf)

@@ -21,7 +21,7 @@ import hashlib
 import json
 import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,11 +32,11 @@ from torch import Tensor
 
 from support.checkpoint_builder import official_model, saved, stripped
 from support.colcon_workspace import REPOSITORY
+from support.random_model import model_with
 from yolov5_lifecycle.checkpoints.pickled_objects import Stub, tensors_of
 from yolov5_lifecycle.checkpoints.yaml_architecture import architecture_of
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
-from yolov5_lifecycle.models.model import Model, blueprint
-from yolov5_lifecycle.models.network import Network
+from yolov5_lifecycle.models.model import Model
 
 _DATA = REPOSITORY / "test" / "data"
 _QUICK = ("n", "n6", "s")
@@ -52,35 +52,28 @@ class ExpectedPredictions:
     input_shape: tuple[int, ...]
     number_of_rows: int
     tolerance: float
-    column_sums: NDArray[np.float64]
-    row_indices: NDArray[np.int64]
-    rows: NDArray[np.float64]
-
-    @classmethod
-    def of(
-        cls, model: Mapping[str, Any], tolerance: float, numbers: Mapping[str, Any]
-    ) -> ExpectedPredictions:
-        """Those of an entry of the data; `numbers` may be those of another entry."""
-        return cls(
-            tuple(model["input_shape"]),
-            model["number_of_rows"],
-            tolerance,
-            *(np.array(numbers[name]) for name in ("column_sums", "row_indices", "rows")),
-        )
+    numbers: Mapping[str, Any]
 
     def check(self, raw: NDArray[np.float32]) -> None:
         """Fail unless `raw` (N, outputs) are these predictions up to rounding."""
         assert raw.dtype == np.float32
-        assert raw.shape == (self.number_of_rows, self.rows.shape[1])
+        rows, sums = np.array(self.numbers["rows"]), np.array(self.numbers["column_sums"])
+        assert raw.shape == (self.number_of_rows, rows.shape[1])
         # Numbers near zero are compared with a thousandth of what is usual.
         rtol, atol = self.tolerance, self.tolerance * 1e-3
-        np.testing.assert_allclose(raw[self.row_indices], self.rows, rtol=rtol, atol=atol)
-        np.testing.assert_allclose(raw.sum(axis=0, dtype=np.float64), self.column_sums, rtol=rtol)
+        np.testing.assert_allclose(raw[self.numbers["row_indices"]], rows, rtol=rtol, atol=atol)
+        np.testing.assert_allclose(raw.sum(axis=0, dtype=np.float64), sums, rtol=rtol)
 
 
-def expected_predictions(size: str) -> ExpectedPredictions:
-    found = _read("raw_predictions.json")["sizes"][size]
-    return ExpectedPredictions.of(found, 1e-3 if size in _AMPLIFYING else 1e-5, found)
+def expected_predictions(name: str) -> ExpectedPredictions:
+    """Those of a size or a family."""
+    if name in SIZES:
+        found = numbers = _read("raw_predictions.json")["sizes"][name]
+        tolerance = 1e-3 if name in _AMPLIFYING else 1e-5
+    else:
+        found = families()[name]
+        tolerance, numbers = found["tolerance"], families()[found.get("same_numbers_as", name)]
+    return ExpectedPredictions(tuple(found["input_shape"]), found["number_of_rows"], tolerance, numbers)
 
 
 def expected_nms() -> Mapping[str, Any]:
@@ -89,17 +82,9 @@ def expected_nms() -> Mapping[str, Any]:
     return models
 
 
-def formula_model(size: str, *, detect_gain: float = 1.0, objectness_bias: float = 0.0) -> Model:
-    """The model of `size`; the weights of its last layer times `detect_gain`, its objectness biased."""
-    architecture = SIZES[size]
-    state = dict(formula_tensors(blueprint(architecture).state_dict()))
-    detect = f"model.{len(architecture.layers) - 1}"
-    strides = torch.tensor(architecture.strides).view(-1, 1, 1)
-    state[f"{detect}.anchors"] = torch.tensor(architecture.anchors_px).float() / strides
-    for level in range(len(architecture.strides)):
-        state[f"{detect}.m.{level}.weight"] *= detect_gain
-        state[f"{detect}.m.{level}.bias"].view(-1, 5 + architecture.classes)[:, 4] += objectness_bias
-    return Model(architecture, tuple(f"class {index}" for index in range(architecture.classes)), state)
+def formula_model(name: str) -> Model:
+    """The model of a size or a family, with the weights of the formula."""
+    return model_with(SIZES[name] if name in SIZES else family_architecture(name), _formula_tensor)
 
 
 def formula_pixels(shape: tuple[int, ...]) -> Tensor:
@@ -107,12 +92,10 @@ def formula_pixels(shape: tuple[int, ...]) -> Tensor:
     return torch.from_numpy(np.random.RandomState(11).rand(*shape).astype(np.float32))
 
 
-def formula_tensors(blank: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
-    for key, tensor in blank.items():
-        if tensor.is_floating_point():
-            yield key, torch.from_numpy(_formula(key, tuple(tensor.shape)).astype(np.float32))
-        else:
-            yield key, torch.zeros(tensor.shape, dtype=tensor.dtype)
+def _formula_tensor(key: str, blank: Tensor) -> Tensor:
+    if not blank.is_floating_point():
+        return torch.zeros(blank.shape, dtype=blank.dtype)
+    return torch.from_numpy(_formula(key, tuple(blank.shape)).astype(np.float32))
 
 
 def _formula(key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -141,11 +124,6 @@ def families() -> Mapping[str, Any]:
 EVERY_FAMILY = list(families())
 
 
-def expected_family(name: str) -> ExpectedPredictions:
-    found = families()[name]
-    return ExpectedPredictions.of(found, found["tolerance"], families()[found.get("same_numbers_as", name)])
-
-
 def family_architecture(name: str) -> Architecture:
     """The architecture of an entry, with the activations that its modules have."""
     found = families()[name]
@@ -160,35 +138,19 @@ def family_architecture(name: str) -> Architecture:
     return dataclasses.replace(architecture, activation=found["activation"], other_activations=others)
 
 
-def family_network(name: str) -> Network:
-    """The network of an entry with the weights of the formula, in evaluation mode."""
-    network = Network(family_architecture(name))
-    anchors = {key: tensor for key, tensor in network.state_dict().items() if key.endswith(".anchors")}
-    network.load_state_dict(dict(formula_tensors(network.state_dict())) | anchors)
-    return network.eval()
-
-
-def _is_before_v6(name: str) -> bool:
-    return name.startswith(("v3.", "v4.", "v5."))
-
-
 def family_checkpoint(name: str) -> bytes:
     """The model of an entry as its version of YOLOv5 saves it, in float32."""
-    network = family_network(name)
-    classes = network.architecture.classes
-    kind = "Model" if name.startswith(("v3.", "v4.", "v5.", "v6.0", "v6.1")) else "DetectionModel"
-    kind = "SegmentationModel" if network.architecture.mask_coefficients else kind
+    formula = formula_model(name)
+    before_v6 = name.startswith(("v3.", "v4.", "v5."))
     model = official_model(
-        network.architecture,
-        [f"class {index}" for index in range(classes)],
-        kind=f"models.yolo.{kind}",
+        formula.architecture,
+        formula.class_names,
+        kind="models.yolo.Model" if before_v6 or name.startswith(("v6.0", "v6.1")) else "",
         half=False,
-        network=network,
-        before_v6=_is_before_v6(name),
+        network=formula.network(),
+        before_v6=before_v6,
     )
-    model.yaml = families()[name]["yaml"] | (
-        {} if _is_before_v6(name) else {"ch": families()[name]["image_channels"]}
-    )
+    model.yaml = families()[name]["yaml"] | ({} if before_v6 else {"ch": formula.architecture.image_channels})
     return saved(stripped(model))
 
 
@@ -202,8 +164,3 @@ def modules_digest(modules: Mapping[str, Stub]) -> str:
     """SHA-256 of the paths of all modules in a file, with the names of their classes."""
     lines = sorted(f"{path} {module.kind}" for path, module in modules.items() if path not in ("", "model"))
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-
-def family_pixels(name: str) -> torch.Tensor:
-    """Network input (1, c, h, w) in [0, 1]."""
-    return formula_pixels(tuple(families()[name]["input_shape"]))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import io
-import itertools
 import struct
 import tarfile
 import zipfile
@@ -96,13 +95,10 @@ def overlapping(count: int) -> bytes:
     return pieces[:end] + directory + ending
 
 
-def without_duplicates_warning(names: tuple[str, ...]) -> bytes:
-    """An archive with records of these names, whatever zipfile thinks of them."""
-    stubs = [f"{index:0{len(name)}d}" for index, name in enumerate(names)]
-    data = archive(mapping({}), more=[(stub, b"x") for stub in stubs])
-    for stub, name in zip(stubs, names, strict=True):
-        data = data.replace(stub.encode(), name.encode())
-    return data
+def with_twins() -> bytes:
+    """Two records of one name, which zipfile would warn of."""
+    data = archive(mapping({}), more=[("archive/data/7", b"x"), ("archive/data/8", b"x")])
+    return data.replace(b"archive/data/8", b"archive/data/7")
 
 
 def with_large_fields() -> bytes:
@@ -153,15 +149,9 @@ ARCHIVES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "another byte order": (lambda: with_record("archive/byteorder", b"big"), "in the byte order"),
     "byte order of 30 MiB": (lambda: with_record("archive/byteorder", bytes(30 << 20)), "in the byte order"),
     "overlapping records": (lambda: overlapping(1000), "overlap"),
-    "25,000 records": (
-        lambda: archive(mapping({}), storages=list(itertools.repeat(b"", 25_000))),
-        "has 25003 records",
-    ),
+    "25,000 records": (lambda: archive(mapping({}), storages=[b""] * 25_000), "has 25003 records"),
     "60,000 records": (lambda: overlapping(60_000), "has 60000 records"),
-    "two records of one name": (
-        lambda: without_duplicates_warning(("archive/data/7", "archive/data/7")),
-        "two records of one name",
-    ),
+    "two records of one name": (with_twins, "two records of one name"),
     "name that leaves the archive": (
         lambda: archive(mapping({}), more=[("archive/../../etc/evil", b"x")]),
         "leaves the archive",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from support import pickle_assembler as asm
 from support.checkpoint_builder import in_one_storage, layers_of, official_model, saved, stripped
@@ -195,35 +195,18 @@ def hostile_pickles() -> Iterator[Case]:
 def _bombs() -> Iterator[Case]:
     """What would take up memory or time if it were built."""
     made_set = name("__builtin__", "set")
-    yield "laughs as a key", laughing(lambda laughs: laughs + b"Ns"), "keys that are neither"
-    yield (
-        "laughs as an item of a set made of a list",
-        laughing(lambda laughs: text("model") + call(made_set, EMPTY_LIST + laughs + APPEND) + SETITEM),
-        "calls '__builtin__.set'",
-    )
-    yield (
-        "laughs as an item of a set",
-        laughing(lambda laughs: text("model") + EMPTY_SET + MARK + laughs + asm.ADDITEMS + SETITEM),
-        "has a set of more than 64 items, or of others",
-    )
-    yield (
-        "laughs as the model",
-        laughing(lambda laughs: text("model") + laughs + SETITEM),
-        "expected a YOLOv5 model",
-    )
-    stored = items(text("storage"), name("torch", "FloatStorage"), get(12), text("cpu"), number(4))
-    yield (
-        "laughs as the storage",
-        laughing(lambda _: text("model") + stored + asm.PERSID + SETITEM),
-        "refers to",
-    )
+    yield "laughs as a key", archive(UNUSED_LAUGHS + LAUGHS + b"Ns"), "keys that are neither"
+    in_a_list = call(made_set, EMPTY_LIST + LAUGHS + APPEND)
+    yield "laughs as an item of a set made of a list", laughing(in_a_list), "calls '__builtin__.set'"
+    in_a_set = EMPTY_SET + MARK + LAUGHS + asm.ADDITEMS
+    yield "laughs as an item of a set", laughing(in_a_set), "has a set of more than 64 items, or of others"
+    yield "laughs as the model", laughing(LAUGHS), "expected a YOLOv5 model"
+    stored = items(text("storage"), name("torch", "FloatStorage"), LAUGHS, text("cpu"), number(4))
+    yield "laughs as the storage", laughing(stored + asm.PERSID), "refers to"
     encode = name("_codecs", "encode") + put(0) + APPEND
     encode += items(text("x" * 2_000_000), text("latin1")) + put(1) + APPEND
-    yield (
-        "a text of two megabytes, encoded often",
-        archive(EMPTY_LIST + encode + (get(0) + get(1) + asm.REDUCE + APPEND) * 90_000),
-        "encodes more than 4194304 bytes",
-    )
+    often = EMPTY_LIST + encode + (get(0) + get(1) + asm.REDUCE + APPEND) * 90_000
+    yield "a text of two megabytes, encoded often", archive(often), "encodes more than 4194304 bytes"
     keys = (number(index * (2**61 - 1)) + text("") for index in range(40_000))
     yield (
         "a dict of numbers that have one hash",
@@ -234,11 +217,8 @@ def _bombs() -> Iterator[Case]:
         texts = text("models." + "x" * length) + put(1) + APPEND + text("y" * length) + put(2) + APPEND
         names = (get(1) + get(2) + asm.STACK_GLOBAL + APPEND) * 150_000
         yield f"a name of {2 * length} characters, often", archive(EMPTY_LIST + texts + names), told
-    yield (
-        "names without end",
-        archive(EMPTY_LIST + MARK + b"".join(name("models", f"{n:x}") for n in range(100_000)) + b"e"),
-        "names more than 1000 classes",
-    )
+    named = b"".join(name("models", f"{n:x}") for n in range(100_000))
+    yield "names without end", archive(EMPTY_LIST + MARK + named + b"e"), "names more than 1000 classes"
     items_65 = EMPTY_LIST + MARK + b"".join(map(number, range(65))) + b"e"
     yield "a set of a list of 65 items", archive(call(made_set, items_65)), "calls '__builtin__.set'"
     yield (
@@ -249,12 +229,8 @@ def _bombs() -> Iterator[Case]:
     yield "a million lists", archive(EMPTY_LIST * 1_100_000), "more than 1000000 operations"
     yield "a million sets", archive(EMPTY_SET * 990_000), "creates more than 100000 objects"
     yield "a million memos", archive(EMPTY_LIST + asm.MEMOIZE * 990_000), "refers to more than 500000 of its"
-    objects = (get(0) + asm.EMPTY_TUPLE + asm.NEWOBJ) * 110_000
-    yield (
-        "too many objects",
-        archive(EMPTY_LIST + CONV + put(0) + APPEND + MARK + objects + b"e"),
-        "more than 100000 objects",
-    )
+    objects = CONV + put(0) + APPEND + MARK + (get(0) + asm.EMPTY_TUPLE + asm.NEWOBJ) * 110_000 + b"e"
+    yield "too many objects", archive(EMPTY_LIST + objects), "more than 100000 objects"
     yield "modules, 1,000 deep", nested_modules(1_000), "contains itself"
     inside = name("models.yolo", "Model") + asm.EMPTY_TUPLE + asm.NEWOBJ + put(7)
     inside += mapping({"_modules": mapping({"m": get(7)})}) + asm.BUILD
@@ -264,29 +240,28 @@ def _bombs() -> Iterator[Case]:
 
 
 def _large_tensors() -> Iterator[Case]:
-    yield (
-        "66 MiB that no layer uses",
-        archive(model(tensor()), storages=(bytes(16), bytes(66 << 20))),
-        "bytes that belong to no layer",
-    )
+    unused = archive(model(tensor()), storages=(bytes(16), bytes(66 << 20)))
+    yield "66 MiB that no layer uses", unused, "bytes that belong to no layer"
     views = {f"weight{index}": tensor((1 << 20,), stored=storage(1 << 20)) for index in range(50)}
-    shared = instance("models.yolo", "Model", {"_parameters": mapping(views)})
-    yield (
-        "tensors that share one storage",
-        archive(mapping({"model": shared}), storages=[bytes(4 << 20)]),
-        "tensors claim",
-    )
+    shared = mapping({"model": instance("models.yolo", "Model", {"_parameters": mapping(views)})})
+    yield "tensors that share one storage", archive(shared, storages=[bytes(4 << 20)]), "tensors claim"
     whole = in_one_storage(official_model(), spare=10 << 20)
     vars(layers_of(whole)["0"])["_modules"]["bn"].running_mean.fill_(math.nan)
     yield "small views of 20 MiB, wrong in the end", saved(stripped(whole)), "numbers that are not finite"
 
 
-def laughing(value: Callable[[bytes], bytes]) -> bytes:
-    """A checkpoint with a billion laughs where `value` puts them; the tuples lie in an unused list before."""
-    levels = [asm.EMPTY_TUPLE + put(0)]
-    levels += [MARK + get(level) * 50 + asm.TUPLE + put(level + 1) for level in range(12)]
-    unused = EMPTY_LIST + b"".join(level + APPEND for level in levels)
-    return archive(mapping({"unused": unused}) + value(get(12)))
+LAUGHS = get(12)
+"""A billion of them, after UNUSED_LAUGHS: a dict with a list of tuples of tuples."""
+UNUSED_LAUGHS = mapping({
+    "unused": EMPTY_LIST
+    + (asm.EMPTY_TUPLE + put(0) + APPEND)
+    + b"".join(MARK + get(level) * 50 + asm.TUPLE + put(level + 1) + APPEND for level in range(12))
+})  # fmt: skip
+
+
+def laughing(value: bytes) -> bytes:
+    """A checkpoint whose model is `value`, which has LAUGHS in it."""
+    return archive(UNUSED_LAUGHS + text("model") + value + SETITEM)
 
 
 def nested_modules(depth: int) -> bytes:

@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Reader
 
 from support.detected_offline import MODEL, prepare_once
 from support.recorded_scene import raw, record
@@ -26,7 +26,7 @@ def record_drives(folder: Path, lengths: dict[str, int]) -> Path:
     """A recording of the scene for each name, with that many images, in the new `folder`."""
     folder.mkdir()
     for name, count in lengths.items():
-        record(folder / name, [raw(number % 5) for number in range(count)], storage=StoragePlugin.MCAP)
+        record(folder / name, [raw(number % 5) for number in range(count)])
     return folder
 
 

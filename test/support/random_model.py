@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from yolov5_lifecycle.models.architecture import SIZES, Architecture
 from yolov5_lifecycle.models.model import Model, blueprint
@@ -47,12 +48,17 @@ def random_frame(height: int = 64, width: int = 96) -> NDArray[np.uint8]:
     return np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
 
 
-def blank_model(architecture: Architecture) -> Model:
-    """A model of any size in no time: every weight is the same, and no image shows it anything."""
-    state = {
-        key: torch.full_like(tensor, 1 / 1024 if tensor.is_floating_point() else 0, device="cpu")
-        for key, tensor in blueprint(architecture).state_dict().items()
-    }
+def model_with(architecture: Architecture, tensor: Callable[[str, Tensor], Tensor]) -> Model:
+    """A model with its anchors; `tensor` makes the other tensors of their keys and of blank ones."""
+    state = {key: tensor(key, blank) for key, blank in blueprint(architecture).state_dict().items()}
     strides = torch.tensor(architecture.strides).view(-1, 1, 1)
     state[f"model.{len(architecture.layers) - 1}.anchors"] = torch.tensor(architecture.anchors_px) / strides
     return Model(architecture, tuple(f"class {index}" for index in range(architecture.classes)), state)
+
+
+def blank_model(architecture: Architecture) -> Model:
+    """A model of any size in no time: every weight is the same, and no image shows it anything."""
+    return model_with(
+        architecture,
+        lambda _, blank: torch.full_like(blank, 1 / 1024 if blank.is_floating_point() else 0, device="cpu"),
+    )

@@ -63,13 +63,17 @@ def text() -> Any:
 
 def record(
     path: Path,
-    messages: Sequence[Any],
+    messages: Sequence[Any] | None = None,
     *,
-    storage: StoragePlugin,
+    storage: StoragePlugin = StoragePlugin.MCAP,
     topics: Sequence[str] = (TOPIC,),
     compression: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """A new recording at `path` with `messages`, or bytes in place of an Image, on each of `topics`."""
+    """A new recording at `path` with `messages`, or bytes in place of an Image, on each of `topics`.
+
+    Its messages are the scene unless others are given.
+    """
+    messages = [raw(number) for number in range(COUNT)] if messages is None else messages
     writer = Writer(path, version=9, storage_plugin=storage)
     if compression is not CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
+from support.gate import PATIENCE_S, Gate
 from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.streaming.frame_statistics import FrameCounter, Outcome
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads, Pipeline, Send
-
-PATIENCE_S = 60.0
 
 
 def when_awaited(inference: InferenceThreads, act: Callable[[], object]) -> None:
@@ -40,15 +39,7 @@ class ScriptedCamera:
         self.published: list[int] = []
         self.failures: list[tuple[Outcome, str]] = []
         self.threads: list[threading.Thread] = []
-        self.gate = threading.Event()
-        self.gate.set()
-        self.entered = threading.Event()
-        self.publish_gate = threading.Event()
-        self.publish_gate.set()
-        self.publishing = threading.Event()
-        self.draw_gate = threading.Event()
-        self.draw_gate.set()
-        self.drawing = threading.Event()
+        self.gate, self.publishing, self.drawing = (Gate(is_open=True) for _ in range(3))
         self.drawn: list[int] = []
         self.ended = threading.Semaphore(0)
         self.queue = CameraQueue(FrameCounter(), self._report)
@@ -56,8 +47,7 @@ class ScriptedCamera:
     def detect(self, number: int, network: object) -> int:
         self.used.append(network)
         self.threads.append(threading.current_thread())
-        self.entered.set()
-        assert self.gate.wait(PATIENCE_S)
+        self.gate.passed()
         if number < 0:
             raise ImageError(f"{number} is no image")
         if number == 0:
@@ -67,13 +57,11 @@ class ScriptedCamera:
     def messages(self, result: int) -> Iterator[Send]:
         self.threads.append(threading.current_thread())
         yield lambda: self._publish(result)
-        self.drawing.set()
-        assert self.draw_gate.wait(PATIENCE_S)
+        self.drawing.passed()
         yield lambda: self.drawn.append(result)
 
     def _publish(self, result: int) -> None:
-        self.publishing.set()
-        assert self.publish_gate.wait(PATIENCE_S)
+        self.publishing.passed()
         self.published.append(result)
 
     def start(self, pipeline: Pipeline | None = None, *, max_rate_hz: float = 0.0) -> None:
@@ -94,16 +82,14 @@ class ScriptedCamera:
 
     def hold(self, number: int) -> None:
         """Offer one frame and return while a thread is inside it."""
-        self.gate.clear()
-        self.entered.clear()
+        self.gate.close()
         self.offer(number)
-        assert self.entered.wait(PATIENCE_S)
+        self.gate.wait()
 
     def open(self) -> None:
         """Let frames go on, now and in all frames to come."""
-        self.gate.set()
-        self.publish_gate.set()
-        self.draw_gate.set()
+        for gate in (self.gate, self.publishing, self.drawing):
+            gate.open()
 
     def balance(self) -> dict[str, int]:
         return self.queue.counter.balance()

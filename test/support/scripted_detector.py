@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,32 +22,29 @@ def lose_device() -> NDArray[np.float32]:
     raise DeviceLostError("the GPU fell off the bus")
 
 
-def hang() -> NDArray[np.float32]:
-    print("hanging", flush=True)  # noqa: T201 - the test reads it
+def tell(words: str) -> None:
+    print(words, flush=True)  # noqa: T201 - the test reads it
+
+
+def hang(words: str) -> NoReturn:
+    tell(words)
     time.sleep(60)
     raise AssertionError("nobody waits that long")
 
 
-def tell_of_closing() -> None:
-    print("model closed", flush=True)  # noqa: T201 - the test reads it
-
-
-def prepare_slowly() -> PreparedModel:
-    print("loading slowly", flush=True)  # noqa: T201 - the test reads it
-    time.sleep(60)
-    raise AssertionError("nobody waits that long")
-
-
-FAULTS = {"lose_device": lose_device, "hang": hang}
+FAULTS: dict[str, Callable[[], NDArray[np.float32]]] = {
+    "lose_device": lose_device,
+    "hang": partial(hang, "hanging"),
+}
 PREPARATIONS = Preparations()
 
 
 def prepare(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> PreparedModel:
     fault = sys.argv[1]
     if fault == "load_slowly" or (fault == "reload_slowly" and PREPARATIONS.runtimes):
-        return prepare_slowly()
+        hang("loading slowly")
     model = PREPARATIONS(settings, sizes_hw)
-    PREPARATIONS.running.on_close = tell_of_closing
+    PREPARATIONS.running.on_close = partial(tell, "model closed")
     PREPARATIONS.running.run = FAULTS.get(fault, PREPARATIONS.running.run)
     return model
 

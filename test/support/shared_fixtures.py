@@ -8,12 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 
 from support.checkpoint_builder import official_model, saved, stripped
 from support.detector_process import PARAMETERS, DetectorProcess, as_arguments, detector_process
 from support.preparations import Preparations
-from support.recorded_scene import COUNT, raw, record
+from support.recorded_scene import record
 from support.served_node import ServedNode
 
 
@@ -72,4 +71,4 @@ def digest(checkpoint: bytes) -> str:
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
     """A recording of the scene."""
-    return record(tmp_path / "drive", [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
+    return record(tmp_path / "drive")

@@ -131,5 +131,4 @@ COSTLY: Mapping[str, tuple[Architecture, str]] = {
 
 def segmentation_checkpoint() -> bytes:
     """A small segmentation model as YOLOv5 saves it."""
-    architecture = SMALL_FAMILIES["segmentation"]
-    return saved(stripped(official_model(architecture, kind="models.yolo.SegmentationModel")))
+    return saved(stripped(official_model(SMALL_FAMILIES["segmentation"])))

@@ -6,16 +6,14 @@ Coordinates in metres: x right, y up from the floor, z away from the camera, bef
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
 
-Kind = Literal["cuboid", "cylinder", "person", "table", "chair", "shelf"]
-KINDS: tuple[Kind, ...] = ("cuboid", "cylinder", "person", "table", "chair", "shelf")
 _LIMIT = 1e-9  # a ray's slope that counts as parallel
 
 
@@ -84,11 +82,6 @@ class Sphere:
 Part = Cuboid | Cylinder | Sphere
 
 
-def random_parts(rng: np.random.Generator, kind: Kind) -> tuple[Part, ...]:
-    """An object of that kind, of everyday size, on the floor around (0, 0, 0)."""
-    return _MAKERS[kind](rng)
-
-
 def _block(width: float, foot: float, top: float, length: float, x: float = 0.0, z: float = 0.0) -> Cuboid:
     """A cuboid around the vertical line through (x, z)."""
     return Cuboid((x - width / 2, foot, z - length / 2), (x + width / 2, top, z + length / 2))
@@ -143,7 +136,7 @@ def _shelf(rng: np.random.Generator) -> tuple[Part, ...]:
     return (*sides, *shelves, *panel)
 
 
-_MAKERS = {
+KINDS: Mapping[str, Callable[[np.random.Generator], tuple[Part, ...]]] = {
     "cuboid": _cuboid,
     "cylinder": _cylinder,
     "person": _person,
@@ -151,6 +144,7 @@ _MAKERS = {
     "chair": _chair,
     "shelf": _shelf,
 }
+"""Makers of objects of everyday size, on the floor around (0, 0, 0)."""
 
 _Span = tuple[Points, Points]
 

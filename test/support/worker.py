@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from yolov5_lifecycle.process.memory import available_bytes
+from yolov5_lifecycle.process.memory import available_bytes, cores
 from yolov5_lifecycle.ros.child_process import DOMAINS, own_domain
 
 _NUMBER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
@@ -24,15 +24,8 @@ _WORKER_BYTES = 2 << 30
 
 def suitable_count() -> int:
     """How many workers this machine has room for: one more than cores, as tests of nodes also wait."""
-    return max(1, min(_cores() + 1, (available_bytes() or 0) // _WORKER_BYTES, _MAX_COUNT))
-
-
-def _cores() -> int:
-    """Cores that this process may use; a container may have the time of fewer than it sees."""
-    cores = len(os.sched_getaffinity(0))
-    limit = Path("/sys/fs/cgroup/cpu.max")
-    quota, _, period = limit.read_text().partition(" ") if limit.is_file() else ("max", "", "")
-    return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
+    usable = min(len(os.sched_getaffinity(0)), int(cores() or _MAX_COUNT))
+    return max(1, min(usable + 1, (available_bytes() or 0) // _WORKER_BYTES, _MAX_COUNT))
 
 
 @contextmanager

@@ -74,13 +74,8 @@ def anchors(values: object) -> Callable[[], bytes]:
 
 def segmentation(**attributes: object) -> Callable[[], bytes]:
     """A segmentation model whose head has other `attributes` than it should."""
-
-    def build() -> bytes:
-        model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
-        vars(head(model)).update(attributes)
-        return saved(stripped(model))
-
-    return build
+    architecture = SMALL_FAMILIES["segmentation"]
+    return changed(lambda model: vars(head(model)).update(attributes), architecture=architecture)
 
 
 def fuse_all(model: Any) -> None:
@@ -91,11 +86,6 @@ def fuse_all(model: Any) -> None:
             del inside["bn"]
             inside["conv"].bias = nn.Parameter(torch.zeros(inside["conv"].out_channels))
             vars(layer)["forward"] = pickled_method(layer, "forward_fuse")
-
-
-def nms() -> Any:
-    """As v3.1 to v5.0 add it to a model."""
-    return foreign("models.common.NMS", _modules={}, f=-1)
 
 
 def data_parallel(module: Any) -> nn.DataParallel[Any]:
@@ -174,7 +164,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         "bytes that belong to no layer",
     ),
     "NMS added for an export": (
-        child("model", **{"9": nms()}),
+        child("model", **{"9": foreign("models.common.NMS", _modules={}, f=-1)}),
         "which YOLOv5 before 6.0 added for an export",
     ),
     "other activation": (

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 from support.compressed_files import claiming_too_much
 from support.detected_offline import prepare_raising
 from support.evaluated_offline import FAST, WEIGHTS, as_coco, evaluate, report_of, run, shapes
@@ -63,10 +62,6 @@ def test_an_image_of_another_size_than_its_labels_is_left_out(
     assert "the labels are for an image of 320 x 256 pixels, found 100 x 100" in capsys.readouterr().err
 
 
-def no_data(folder: Path) -> Path:
-    return folder / "missing"
-
-
 def a_text(folder: Path) -> Path:
     (folder / "notes.txt").touch()
     return folder / "notes.txt"
@@ -81,14 +76,14 @@ def crowds_only(folder: Path) -> Path:
 
 
 def a_recording(folder: Path) -> Path:
-    return record(folder / "drive", [raw(0)], storage=StoragePlugin.MCAP)
+    return record(folder / "drive", [raw(0)])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
-        pytest.param(no_data, "file or folder not found", id="missing"),
+        pytest.param(lambda folder: folder / "missing", "file or folder not found", id="missing"),
         pytest.param(a_text, "expected a folder with images/ and labels/", id="a text"),
         pytest.param(crowds_only, "images has an object of the classes", id="crowds only"),
         pytest.param(a_recording, "found a recording: play it to a detector with `collect", id="recording"),

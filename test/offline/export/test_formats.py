@@ -16,7 +16,6 @@ import pytest
 import yaml
 from pycocotools import mask
 from pycocotools.coco import COCO
-from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, run
 from support.recorded_scene import COUNT, SIZE_HW, images, raw, record, stamp_s, video
 from support.refusals import Refused
@@ -80,14 +79,10 @@ def of_yolo(path: Path) -> Iterator[Row]:
 READ = {".jsonl": of_jsonl, ".json": of_coco, ".csv": of_csv, ".yolo": of_yolo}
 
 
-def recording(path: Path) -> Path:
-    return record(path, [raw(number) for number in range(COUNT)], storage=StoragePlugin.MCAP)
-
-
 SOURCES: dict[str, Callable[[Path], Path]] = {
     "images": lambda folder: images(folder / "shots"),
     "video": lambda folder: video(folder / "drive.avi"),
-    "recording": lambda folder: recording(folder / "drive"),
+    "recording": lambda folder: record(folder / "drive"),
 }
 each_source = pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
 
@@ -193,7 +188,7 @@ def test_images_of_one_stamp_are_told_apart(tmp_path: Path) -> None:
     taken = [raw(number) for number in (0, 1, 2, 0)]
     for number in (0, 1, 3):
         taken[number].header.stamp.sec = taken[number].header.stamp.nanosec = 0
-    source = record(tmp_path / "drive", taken, storage=StoragePlugin.MCAP)
+    source = record(tmp_path / "drive", taken)
     for suffix in READ:
         assert run([str(source), "--output", str(tmp_path / f"found{suffix}"), *SET_MODEL]) == 0
     identities = [(0, 0), (0, 1), (stamp_s(2) * 10**9 + 9, 2), (0, 3)]

@@ -83,20 +83,6 @@ def test_the_summary_counts_what_the_results_hold(found: Path) -> None:
     assert "the recording cannot be read" in south["reason"]
 
 
-def test_a_second_run_does_only_what_is_missing(
-    drives: Path, found: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def inodes() -> list[int]:
-        return [path.stat().st_ino for path in sorted(found.iterdir()) if path.is_dir()]
-
-    before, names = inodes(), [*LENGTHS, "film.avi"]
-    words = [str(drives / name) for name in names]
-    assert main([*words, "--output", str(found), "--track", *SET_MODEL]) == 0
-    assert capsys.readouterr().err.startswith("recordings  3: 0 done, 3 skipped, 0 failed\n")
-    assert inodes() == before
-    assert set(states(found).values()) == {"skipped"}
-
-
 @pytest.mark.long
 def test_a_worker_says_why_it_cannot_load_the_model(tmp_path: Path) -> None:
     worker = Worker(1)

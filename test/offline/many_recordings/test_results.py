@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 from support.detected_offline import SET_MODEL, prepare_once
 from support.many_recordings import plan_for, record_drives, result_of, rows
 from support.onnx_exports import small_export
@@ -88,7 +87,7 @@ def test_a_recording_that_grows_while_it_is_read_fails(drives: Path, tmp_path: P
 
 def test_images_that_cannot_be_read_are_counted_with_the_first_problem(tmp_path: Path) -> None:
     odd = [raw(0), raw(1, encoding="32FC1"), raw(2, encoding="32FC1")]
-    source = record(tmp_path / "odd", odd, storage=StoragePlugin.MCAP)
+    source = record(tmp_path / "odd", odd)
     result = result_of(source, plan_for(tmp_path / "found"))
     assert (result.images, result.detected, result.rejected) == (3, 1, 2)
     assert result.first_problem.startswith("1700000000.540000007: rejected: Encoding '32FC1'")
@@ -122,14 +121,17 @@ def test_a_lost_gpu_or_a_full_disk_is_no_fault_of_a_recording(drives: Path, tmp_
     ],
 )
 def test_a_result_has_the_format_of_the_folder_and_is_not_made_again(
-    name: str, suffix: str, file: str, drives: Path, tmp_path: Path
+    name: str, suffix: str, file: str, drives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source, output = SourceRecording(Path(name).stem, drives / name), tmp_path / f"found{suffix}"
     assert result_of(source.path, plan_for(output, suffix=suffix, crops=True)).state == "done"
     folder = output / source.name
     assert {one.name for one in folder.iterdir()} - {"metadata.yaml"} == {file, "crops", RECORD_NAME}
+    inode = folder.stat().st_ino
     words = [str(source.path), "--output", str(output), "--jobs", "1", "--crops", *SET_MODEL]
     assert main(words) == 0
+    assert capsys.readouterr().err.startswith("recordings  1: 0 done, 1 skipped, 0 failed\n")
+    assert folder.stat().st_ino == inode
     row = rows(output)[source.name]
     assert row["state"] == "skipped"
     assert len(list((folder / "crops").rglob("*.jpg"))) == sum(row["detections"].values()) > 0

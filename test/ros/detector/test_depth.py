@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 from support.camera_client import DepthClient
 from support.depth_messages import DEPTH_FRAME, camera_info_message, depth_message, header
 from support.depth_scene import CAMERA, random_depth_scene
+from support.gate import Gate
 from support.lone_node import lone_node
 from support.preparations import Preparations, prediction
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
-from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.spatial.placement import Box3D, Unplaced
 from yolov5_lifecycle.spatial.stamp_pairing import CAPACITY
 
@@ -235,14 +233,8 @@ def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
 ) -> None:
     begin(client)
     client.place()
-    entered, release = threading.Event(), threading.Event()
-
-    def slow() -> NDArray[np.float32]:
-        entered.set()
-        assert release.wait(PATIENCE_S)
-        return prediction("cat", 0.9)
-
-    prepare.running.run = slow
+    gate = Gate()
+    prepare.running.run = gate.before(lambda: prediction("cat", 0.9))
     received = int(client.served.values()["depth images received"])
     client.send_depth()
 
@@ -251,12 +243,12 @@ def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
 
     client.served.wait_for(lambda: are_received(1), "the depth image")
     shown = client.send()
-    client.served.wait_for(entered.is_set, "inference to begin")
+    client.served.wait_for(gate.reached.is_set, "inference to begin")
     client.depth_m[:] = 0
     for number in range(2, CAPACITY + 3):
         client.depth.publish(depth_message(client.depth_m, client.sent + number))
         client.served.wait_for(lambda: are_received(number), "the depth image")  # noqa: B023
-    release.set()
+    gate.open()
     client.served.wait_for(lambda: client.placed[-1].header.stamp == shown.stamp, "its place")
     assert len(client.placed[-1].detections) == 1
 

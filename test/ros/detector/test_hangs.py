@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import CompressedImage, Image
 from support.camera_client import CameraClient, DepthClient, Viewer
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import scene_image
+from support.gate import Gate
 from support.preparations import Preparations, prediction
 from support.runtime_names import EVERY_RUNTIME
 from support.scripted_runtime import ScriptedRuntime
@@ -159,42 +159,30 @@ class Streams:
         self.served = served
         self.prepare = prepare
         self.cameras = [CameraClient(served, name) for name in NAMES]
-        self._released: list[threading.Event] = []
+        self._gates: list[Gate] = []
 
-    def hold(self) -> tuple[threading.Event, threading.Event]:
+    def hold(self) -> list[Gate]:
         """Return while frames of two cameras are in progress, with what lets each of them end.
 
         They are of any two cameras, because the first may have sent another one meanwhile.
         """
-        whole = self.prepare.running
-        entered, release = threading.Event(), threading.Event()
-        self._released.append(release)
-        whole.run = self._held(entered, release)
+        whole, (alone, *of_streams) = self.prepare.running, [Gate() for _ in range(3)]
+        self._gates += [alone, *of_streams]
+        for runtime, gate in zip((whole, *whole.made_streams), (alone, *of_streams), strict=True):
+            runtime.run = gate.before(lambda: prediction("cat", 0.9))
         first, *others = self.cameras
-        self.served.wait_for(lambda: bool(first.send()) and entered.is_set(), "a frame that is alone")
-        of_streams = [threading.Event(), threading.Event()]
-        begun = [threading.Event(), threading.Event()]
-        self._released += of_streams
-        for stream, is_begun, may_end in zip(whole.made_streams, begun, of_streams, strict=True):
-            stream.run = self._held(is_begun, may_end)
+        self.served.wait_for(lambda: bool(first.send()) and alone.reached.is_set(), "a frame that is alone")
         self.served.wait_for(
             lambda: all(camera.send() and camera.counts()["pending"] for camera in others), "two that wait"
         )
-        release.set()
-        assert all(each.wait(PATIENCE_S) for each in begun), "not at the same time"
-        return of_streams[0], of_streams[1]
+        alone.open()
+        for gate in of_streams:
+            gate.wait()
+        return of_streams
 
     def release(self) -> None:
-        for event in self._released:
-            event.set()
-
-    def _held(self, entered: threading.Event, release: threading.Event) -> Callable[[], NDArray[np.float32]]:
-        def run() -> NDArray[np.float32]:
-            entered.set()
-            assert release.wait(PATIENCE_S)
-            return prediction("cat", 0.9)
-
-        return run
+        for gate in self._gates:
+            gate.open()
 
 
 @contextmanager
@@ -234,10 +222,10 @@ def test_after_the_answer_to_a_reload_no_camera_publishes_what_the_previous_mode
         prepare.run = lambda: prediction("dog", 0.9)
         reload = served.begin_set(image_size=320)
         served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "another model")
-        one.set()
+        one.open()
         assert served.state() == "active"
         assert not reload.done(), "a frame with the previous model is in progress"
-        other.set()
+        other.open()
         served.wait_for(reload.done, "the answer")
         assert reload.result().result.successful
         for camera in streams.cameras:

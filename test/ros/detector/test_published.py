@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +13,7 @@ from rclpy.lifecycle import LifecyclePublisher
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header
 from support.camera_client import CameraClient, DepthClient, Viewer
+from support.gate import Gate
 from support.preparations import CLASS_NAMES, Preparations, prediction
 from support.random_model import random_frame
 from support.segmented_scene import (
@@ -37,7 +37,6 @@ from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros.detector import pipeline
 from yolov5_lifecycle.ros.messages import image_message, image_of_message
-from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.ros.topics import LABEL_INFO, full_name, published
 
 # Annotated images
@@ -157,21 +156,15 @@ def test_masks_number_the_detections_with_the_same_stamp(
 def test_an_image_that_is_detected_before_a_subscriber_joins_has_no_masks(
     camera: CameraClient, prepare: Preparations, model: SegmentingModel
 ) -> None:
-    served, entered, release = camera.served, threading.Event(), threading.Event()
-
-    def wait() -> NDArray[np.float32]:
-        entered.set()
-        assert release.wait(PATIENCE_S)
-        return rows(0.9, 0.8)
-
-    prepare.running.run = wait
+    served, gate = camera.served, Gate()
+    prepare.running.run = gate.before(lambda: rows(0.9, 0.8))
     served.wait_for(lambda: bool(camera.images.get_subscription_count()), "the node to subscribe")
     early = camera.send()
-    served.wait_for(entered.is_set, "inference to begin")
+    served.wait_for(gate.reached.is_set, "inference to begin")
     masks, viewer = MasksSubscriber(camera), Viewer(camera)
     topics = ("/yolov5/masks", "/yolov5/image")
     served.wait_for(lambda: all(map(served.node.count_subscribers, topics)), "the subscribers")
-    release.set()
+    gate.open()
     assert class_ids_of(camera.detections_of(early)) == ["cat", "dog"]
     assert model.computed == 0
     masks.begin()
