@@ -1,4 +1,4 @@
-"""The workflows for the site that hosts the repository: few rights, and no code of strangers that uses them."""
+"""The workflows for the site that hosts the repository: few rights, and none for code of strangers."""
 
 from __future__ import annotations
 
