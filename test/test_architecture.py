@@ -15,8 +15,6 @@ from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
 from support.started import printed_by
 
-from yolov5_lifecycle.settings.settings import SETTINGS
-
 PACKAGE = REPOSITORY / "yolov5_lifecycle"
 # A folder may import folders of lower rows; the first row is for the modules that lie beside the folders.
 RANKS = (
@@ -203,15 +201,3 @@ def test_no_callback_in_the_executor_waits_without_a_limit() -> None:
     run = [module for module in FILES if module.startswith(OF_EXECUTOR)]
     assert {f"{module.rpartition('.')[0]}." for module in run} == set(OF_EXECUTOR)
     assert [f"{module}: {call}" for module in run for call in endless_waits(tree_of(module))] == []
-
-
-def words_of(tree: ast.Module) -> Iterator[str]:
-    """Every identifier, keyword and text constant."""
-    for node in ast.walk(tree):
-        found = (getattr(node, name, None) for name in ("attr", "id", "arg", "value"))
-        yield from (word for word in found if isinstance(word, str))
-
-
-def test_every_setting_is_used() -> None:
-    used = {word for module in FILES if module != "settings.settings" for word in words_of(tree_of(module))}
-    assert [setting.name for setting in SETTINGS if setting.name not in used] == []
