@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -14,6 +15,8 @@ from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 from support.colcon_workspace import REPOSITORY
 from support.started import printed_by
+
+from yolov5_lifecycle.settings.settings import SETTINGS
 
 PACKAGE = REPOSITORY / "yolov5_lifecycle"
 # A folder may import folders of lower rows; the first row is for the modules that lie beside the folders.
@@ -201,3 +204,9 @@ def test_no_callback_in_the_executor_waits_without_a_limit() -> None:
     run = [module for module in FILES if module.startswith(OF_EXECUTOR)]
     assert {f"{module.rpartition('.')[0]}." for module in run} == set(OF_EXECUTOR)
     assert [f"{module}: {call}" for module in run for call in endless_waits(tree_of(module))] == []
+
+
+def test_every_setting_is_used() -> None:
+    text = "\n".join(path.read_text() for module, path in FILES.items() if module != "settings.settings")
+    words = set(re.findall(r"\w+", text))
+    assert [setting.name for setting in SETTINGS if setting.name not in words] == []

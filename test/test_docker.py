@@ -9,6 +9,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from fnmatch import fnmatch
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.clean_environment import pins
 from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
+from support.pages import typed
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.settings.settings import SETTINGS, Settings
@@ -118,6 +120,12 @@ def test_the_image_runs_without_root_and_keeps_weights_where_the_node_looks() ->
     assert any(volume in run and f"-o {home.name}" in run for run in arguments_of("RUN"))
 
 
+def test_what_is_installed_in_the_image_is_not_ignored() -> None:
+    ignored = (REPOSITORY / ".dockerignore").read_text().split("\n")
+    needed = ["setup.py", "setup.cfg", "package.xml", "resource", PACKAGE, "config", "launch", "weights"]
+    assert [(name, one) for name in needed for one in ignored if fnmatch(name, one)] == []
+
+
 def test_setup_does_without_the_files_that_the_image_leaves_out(tmp_path: Path) -> None:
     for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
         shutil.copy(REPOSITORY / name, tmp_path)
@@ -166,6 +174,16 @@ def test_a_node_that_is_not_active_is_not_healthy_and_has_time_to_answer() -> No
     assert variables()["YOLOV5_NODE"] == "/yolov5"
     (discovery_s, limit_s) = re.findall(r"--(?:spin-time |timeout=)(\d+)", check)[::-1]
     assert 5 <= int(discovery_s) <= int(limit_s) / 3, "ros2 itself waits half a second"
+
+
+def test_what_builds_with_podman_keeps_the_health_check() -> None:
+    lines = [
+        *typed(REPOSITORY / "docs" / "docker.md"),
+        *(ENTRYPOINT.parent / "try-build").read_text().splitlines(),
+    ]
+    builds = [line for line in lines if re.search(r"\b(podman|buildah) (build|bud)\b", line)]
+    assert len(builds) == 2
+    assert [line for line in builds if "--format docker" not in line] == []
 
 
 def entered(workspace: Path, *words: str) -> subprocess.CompletedProcess[str]:

@@ -19,7 +19,7 @@ from support.segmented_scene import CAT_XYXY, DOG_XYXY, labels
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.settings.parameter_file import file_values
-from yolov5_lifecycle.settings.settings import validated
+from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, validated
 
 
 def test_a_page_that_the_package_names_is_there() -> None:
@@ -27,6 +27,17 @@ def test_a_page_that_the_package_names_is_there() -> None:
     named = {page for file in files for page in re.findall(r"\bdocs/[\w-]+\.md", file.read_text())}
     assert "docs/console.md" in named
     assert [page for page in named if not (REPOSITORY / page).is_file()] == []
+
+
+def test_a_link_that_leads_nowhere_is_an_error_of_the_site_and_none_is_in_the_readme() -> None:
+    assert "\nstrict: true\n" in (REPOSITORY / "mkdocs.yml").read_text()
+    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)]+)\)", README.read_text())]
+    assert "docs/filters.md" in links
+    assert [link for link in links if "://" not in link and not (REPOSITORY / link).exists()] == []
+
+
+def test_a_page_of_the_site_loads_nothing_from_another_host() -> None:
+    assert "\n  font: false" in (REPOSITORY / "mkdocs.yml").read_text()
 
 
 def problems(page: Path, file: Path) -> Iterator[str]:
@@ -47,6 +58,28 @@ def problems(page: Path, file: Path) -> Iterator[str]:
 def test_the_examples_of_a_page_are_understood(tmp_path: Path) -> None:
     file = tmp_path / "parameters.yaml"
     assert [f"{page.name}: {problem}" for page in PAGES for problem in problems(page, file)] == []
+
+
+def test_a_parameter_of_another_node_is_refused_with_the_name_that_the_page_gives() -> None:
+    rows = re.findall(
+        r"^\| (.*?) \| `(\w+)` \|", (REPOSITORY / "docs" / "migration.md").read_text(), re.MULTILINE
+    )
+    pairs = [
+        (name, ours)
+        for theirs, ours in rows
+        if ours in SETTINGS_BY_NAME and "service" not in theirs
+        for name in re.findall(r"`(\w+)`", theirs)
+    ]
+    assert ("half", "precision") in pairs
+    # `model` is another setting for each of two nodes: one of them is given.
+    assert {(name, SCHEMA.meant(name)) for name, _ in pairs} <= set(pairs)
+
+
+def test_a_parameter_of_the_readme_has_its_true_default() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| `(.*?)` \|", README.read_text(), re.MULTILINE)
+    shown = {name: value for name, value in rows if name in SETTINGS_BY_NAME}
+    assert "confidence_threshold" in shown
+    assert validated({name: yaml.safe_load(value) for name, value in shown.items()}) == validated({})
 
 
 def test_the_page_on_masks_counts_the_pixels_of_each_object(capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,6 +139,14 @@ def test_make_refuses_what_it_cannot_use_and_says_what_it_expects(
     assert [path.name for path in clone.iterdir() if path.name.startswith(".venv")] == []
 
 
+def test_the_matrix_has_an_environment_for_each() -> None:
+    shown = make(
+        REPOSITORY, "-n", "test-matrix", "MATRIX=3.11-tested 3.12-tested 3.12-apt 3.12-kilted"
+    ).stdout
+    folders = {line.split("/")[0] for line in shown.splitlines() if "/bin/python -m pytest" in line}
+    assert len(folders) == shown.count(": passed") > 0, shown
+
+
 def test_the_nodes_and_the_demo_need_nothing_that_the_tests_add() -> None:
     built = {PACKAGE, *(folder.name for folder in (REPOSITORY / "interfaces").iterdir())}
     added = {canonicalize_name(Requirement(line).name) for line in lines_of("tests.txt")}

@@ -5,9 +5,11 @@ The variable RELEASE_WHEELS names a folder with the wheels of a release, which a
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from support.checkpoint_builder import official_model, saved, stripped
 from support.clean_environment import build_environment, build_wheel
 from support.colcon_workspace import COMMANDS, PACKAGE
+from support.official_types import OFFICIAL_HASHES
 from support.recorded_scene import COUNT, raw, record
 
 pytestmark = pytest.mark.long
@@ -41,10 +44,14 @@ def executables(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def executables_with_ros(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Those of the extra "ros"; the messages are those of the release, or else of the running environment."""
     folder = tmp_path_factory.mktemp("ros") / "environment"
-    python = f"cp{sys.version_info[0]}{sys.version_info[1]}"
-    messages = list(Path(RELEASE_WHEELS or "").glob(f"{PACKAGE}_interfaces-*-{python}-*.whl"))
+    messages = messages_of_release(f"cp{sys.version_info[0]}{sys.version_info[1]}") if RELEASE_WHEELS else []
     assert len(messages) == bool(RELEASE_WHEELS)
     return build_environment(folder, [wheel, *messages], ("ros",))
+
+
+def messages_of_release(python: str) -> list[Path]:
+    """The wheels of the messages for `python`, a tag such as cp312."""
+    return list(Path(RELEASE_WHEELS or "").glob(f"{PACKAGE}_interfaces-*-{python}-*.whl"))
 
 
 def run(home: Path, *words: str | Path, path: str = os.defpath) -> subprocess.CompletedProcess[str]:
@@ -117,6 +124,20 @@ def test_with_the_extra_ros_the_demo_needs_no_compiler_and_no_ros_from_apt(
     told = run(tmp_path, executables_with_ros / "demo", path=str(tmp_path / "no programs"))
     assert told.returncode == 0, told.stdout + told.stderr
     assert told.stdout.splitlines()[-1].startswith("demo ok")
+
+
+@pytest.mark.skipif(not RELEASE_WHEELS, reason="of a release only; test_interfaces.py asks the running types")
+@pytest.mark.parametrize("package", OFFICIAL_HASHES)
+def test_the_messages_have_the_official_types_in_the_wheel_of_every_python(package: str) -> None:
+    wheels = messages_of_release("*")
+    assert wheels
+    for wheel in wheels:
+        with zipfile.ZipFile(wheel) as files:
+            described = [name for name in files.namelist() if f"/share/{package}/msg/" in name]
+            descriptions = [json.loads(files.read(name)) for name in described if name.endswith(".json")]
+        types = [description["type_hashes"][0] for description in descriptions]
+        official = {f"{package}/msg/{name}": value for name, value in OFFICIAL_HASHES[package].items()}
+        assert {each["type_name"]: each["hash_string"] for each in types} == official
 
 
 def test_the_messages_bring_their_licences(executables_with_ros: Path, tmp_path: Path) -> None:

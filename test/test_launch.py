@@ -74,6 +74,8 @@ with_launch = pytest.mark.skipif(
 def test_a_launch_file_uses_each_argument_that_it_declares_and_files_that_there_are() -> None:
     for file in FILES:
         text = file.read_text()
+        modules = set(re.findall(r"^ *(?:from|import) (\w+)", text, re.MULTILINE))
+        assert modules - set(sys.stdlib_module_names) == FROM_ROS, file.name
         declared = re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', text)
         assert sorted(declared) == sorted(set(re.findall(r'LaunchConfiguration\("(\w+)"', text))), file.name
         joined = re.findall(r'PathJoinSubstitution\(\[.*?, "(\w+)", "([\w.]+)"\]\)', text)

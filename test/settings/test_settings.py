@@ -77,8 +77,8 @@ def test_an_unknown_name_is_shown_in_one_short_line() -> None:
 def test_a_parameter_name_of_another_node_is_answered_with_ours() -> None:
     assert set(SYNONYMS.values()) <= set(SETTINGS_BY_NAME)
     assert not (SYNONYMS.keys() | NOT_SETTINGS) & SETTINGS_BY_NAME.keys()
-    with pytest.raises(SettingsError, match=r"half: .* Did you mean 'precision'\?"):
-        validated({"half": True})
+    with pytest.raises(SettingsError, match=r"conf_thres: .* Did you mean 'confidence_threshold'\?"):
+        validated({"conf_thres": 1})
 
 
 def test_an_option_that_is_no_parameter_is_answered_with_its_replacement() -> None:
