@@ -108,14 +108,11 @@ def test_systemd_starts_a_node_of_a_workspace(name: str) -> None:
     assert name == "yolov5" or '"CONSOLE_ARGUMENTS="' in unit(name)["Environment"]
 
 
-def test_a_unit_leaves_the_shared_memory_of_other_nodes_alone() -> None:
+def test_a_unit_leaves_the_shared_memory_of_other_nodes_alone_and_the_detector_has_its_gpu() -> None:
     """RemoveIPC= deletes what the user has in /dev/shm; a private network or IP filter hides other nodes."""
     harmful = {"RemoveIPC", "PrivateNetwork", "IPAddressDeny", "TemporaryFileSystem", "InaccessiblePaths"}
     assert [name for name in UNITS if harmful & unit(name).keys()] == []
-
-
-def test_the_detector_may_use_a_gpu_and_the_code_that_runtimes_generate() -> None:
-    entries = unit("yolov5")
+    entries = unit("yolov5")  # whose runtimes generate code
     assert {"PrivateDevices", "MemoryDenyWriteExecute", "ProcSubset"} & entries.keys() == set()
     assert entries["DeviceAllow"] == ["char-nvidia* rw"]
     assert "modprobe@nvidia_uvm.service" in entries["Wants"][0].split()

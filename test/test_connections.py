@@ -2,12 +2,13 @@
 
 As a program, which the test runs alone in its namespaces and with the rights of root there, as
 `unshare --map-root-user --net --mount` gives them to anybody: runs each command for a while in a network
-where every packet is recorded. The arguments are an empty folder and an image. Prints as JSON, by command,
-the packets that were not ROS's own and the files that were written.
+of which every packet that leaves it is recorded. The arguments are an empty folder and an image. Prints as
+JSON, by command, what it connected to and the files that were written.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -18,7 +19,6 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -32,12 +32,9 @@ from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.observer import Observer
 
 DOMAIN = 1  # nobody else is in this network
-ROS_PORTS = range(7400 + 250 * DOMAIN, 7400 + 250 * (DOMAIN + 1))
 PATIENCE_S = 120.0
 ALL_PROTOCOLS = 3
 UDP, TCP, IGMP, ICMP6 = 17, 6, 2, 58
-FIRST_MARK = 40_000
-"""A port that nobody uses here; see `Packets`."""
 FOLDERS = {"HOME": "home", "XDG_CACHE_HOME": "cache", "TMPDIR": "temporary", "ROS_LOG_DIR": "log"}
 MODEL = REPOSITORY / "weights" / "shapes.safetensors"
 CONTROL = """
@@ -50,59 +47,34 @@ socket.create_connection(("192.0.2.1", 80), 0.5)
 ALONE = ["unshare", "--map-root-user", "--net", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc"]
 LOG = r"log/[^/]+\.log"
 EXPECTED = {
-    "nodes": ([], [LOG, LOG]),
-    "detect_bag": ([], []),
-    "openvino": ([], []),
-    "evaluate": ([], []),
-    "convert": ([], []),
-    "fetch_weights": (["look-up of weights.test"], []),
-    "control": (["TCP to 192.0.2.1:80"], [f"{folder}/control" for folder in sorted(FOLDERS.values())]),
+    "nodes": (0, [], [LOG, LOG]),
+    "detect_bag": (0, [], []),
+    "openvino": (0, [], []),
+    "evaluate": (0, [], []),
+    "convert": (0, [], []),
+    "fetch_weights": (0, ["look-up of weights.test"], []),
+    "control": (1, ["TCP to 192.0.2.1:80"], [f"{folder}/control" for folder in sorted(FOLDERS.values())]),
 }
-"""By command, the packets and the files; the control shows that either would have been recorded."""
+"""By command, the connections, where packets went, and the files; the control shows that all are recorded."""
 
 
-class Packets:
-    """Records what leaves this network's processes, except what the kernel and ROS send.
+def connections() -> int:
+    """How many connections the processes in this network have begun over TCP, also within the machine."""
+    _, of_tcp = re.findall(r"^Tcp: (.*)$", Path("/proc/net/snmp").read_text(), re.MULTILINE)
+    return int(of_tcp.split()[4])  # ActiveOpens
 
-    A packet of its own, to another port each time, marks the end of what was sent until then: the thread that
-    records may be late.
-    """
 
-    def __init__(self) -> None:
-        self._recorded = threading.Condition()
-        self._marks: set[str] = set()
-        self._socket = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(ALL_PROTOCOLS))
-        self._seen: list[str] = []
-        threading.Thread(target=self._record, daemon=True).start()
-
-    def taken(self) -> list[str]:
-        """What was recorded since the last call, each destination once."""
-        with self._recorded:
-            mark = self._mark()
-            assert self._recorded.wait_for(lambda: mark in self._seen, PATIENCE_S), "nothing is recorded"
-            seen, self._seen = self._seen, []
-        return sorted(set(seen) - self._marks)
-
-    def _mark(self) -> str:
-        port = FIRST_MARK + len(self._marks)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            sender.sendto(b"", ("127.0.0.1", port))
-        mark = f"UDP to 127.0.0.1:{port}"
-        self._marks.add(mark)
-        return mark
-
-    def _record(self) -> None:
+def destinations(recorder: socket.socket) -> list[str]:
+    """Where what has left the machine since the last call was sent, except by the kernel itself."""
+    found = {""}
+    with contextlib.suppress(BlockingIOError):
         while True:
-            data, address = self._socket.recvfrom(65535)
-            told = _destination(data, address[1])
-            if told:
-                with self._recorded:
-                    self._seen.append(told)
-                    self._recorded.notify_all()
+            data, address = recorder.recvfrom(65535)
+            found.add(_destination(data, address[1]))
+    return sorted(found - {""})
 
 
 def _destination(data: bytes, ethernet_type: int) -> str:
-    """Where a packet goes, "" for one of ROS or of the kernel."""
     if ethernet_type == 0x0800:
         protocol, start, host = data[9], 4 * (data[0] & 15), socket.inet_ntop(socket.AF_INET, data[16:20])
     elif ethernet_type == 0x86DD:
@@ -112,19 +84,16 @@ def _destination(data: bytes, ethernet_type: int) -> str:
     if protocol not in (UDP, TCP):
         return "" if protocol in (IGMP, ICMP6, 0, 1) else f"protocol {protocol} to {host}"
     (port,) = struct.unpack_from("!H", data, start + 2)
-    if protocol == UDP and port in ROS_PORTS:
-        return ""
     if protocol == UDP and port == 53:
         question, _, _ = data[start + 8 + 12 :].partition(b"\0")  # a label has its length before it
         return "look-up of " + re.sub(r"[\0-\x1f]", ".", question.decode(errors="replace"))[1:]
-    source, _ = struct.unpack_from("!HH", data, start)
-    return "" if source == 53 else f"{'UDP' if protocol == UDP else 'TCP'} to {host}:{port}"
+    return f"{'UDP' if protocol == UDP else 'TCP'} to {host}:{port}"
 
 
-def prepare_network(folder: Path) -> None:
-    """A loopback, a way to everywhere that ends nowhere, and a resolver that is this machine and silent."""
+def prepare_network(folder: Path) -> socket.socket:
+    """A loopback, a way to everywhere that ends nowhere, and who records what goes that way."""
     resolver = folder / "resolv.conf"
-    resolver.write_text("nameserver 127.0.0.1\noptions timeout:1 attempts:1\n")
+    resolver.write_text("nameserver 192.0.2.53\noptions timeout:1 attempts:1\n")
     for command in (
         "ip link set lo up",
         "ip link add nowhere type veth peer name end",
@@ -137,6 +106,10 @@ def prepare_network(folder: Path) -> None:
         "mount -t tmpfs none /dev/shm",
     ):
         subprocess.run(command.split(), check=True)
+    recorder = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM)
+    recorder.bind(("nowhere", ALL_PROTOCOLS))
+    recorder.setblocking(False)
+    return recorder
 
 
 def run_nodes(variables: Mapping[str, str]) -> None:
@@ -184,8 +157,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     image, converted = folder / "image.png", folder / "out" / "converted.safetensors"
     image.write_bytes(Path(sys.argv[2]).read_bytes())
-    prepare_network(folder)
-    packets = Packets()
+    recorder = prepare_network(folder)
     model = f"weights={MODEL}"
     trials: dict[str, Callable[[Mapping[str, str]], None]] = {
         "nodes": run_nodes,
@@ -216,8 +188,9 @@ def main() -> None:
         for part in FOLDERS.values():
             (home / part).mkdir(parents=True)
         os.chdir(home)
+        before = connections()
         run(variables)
-        told[name] = {"packets": packets.taken(), "files": written(home)}
+        told[name] = connections() - before, destinations(recorder), written(home)
     print(json.dumps(told))  # noqa: T201
 
 
@@ -242,12 +215,11 @@ def test_a_command_sends_and_writes_what_the_page_on_security_says(tmp_path: Pat
         timeout=500,
     )
     assert run.returncode == 0, run.stderr
-    told: dict[str, dict[str, list[str]]] = json.loads(run.stdout)
-    assert {name: one["packets"] for name, one in told.items()} == {
-        name: packets for name, (packets, _) in EXPECTED.items()
-    }
-    for name, (_, patterns) in EXPECTED.items():
-        files = told[name]["files"]
+    told: dict[str, tuple[int, list[str], list[str]]] = json.loads(run.stdout)
+    assert told.keys() == EXPECTED.keys()
+    for name, (opened, sent_to, patterns) in EXPECTED.items():
+        *connected, files = told[name]
+        assert connected == [opened, sent_to], name
         assert len(files) == len(patterns), (name, files)
         assert all(map(re.fullmatch, patterns, files)), (name, files)
 

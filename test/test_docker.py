@@ -19,7 +19,7 @@ import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.clean_environment import pins
-from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY, published_files
+from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
 from support.pages import typed
 
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
@@ -27,10 +27,8 @@ from yolov5_lifecycle.settings.settings import SETTINGS, Settings
 
 pytestmark = pytest.mark.long
 
-DOCKER = REPOSITORY / "docker"
-ENTRYPOINT = DOCKER / "entrypoint"
+ENTRYPOINT = REPOSITORY / "docker" / "entrypoint"
 BUILT = f"install/{PACKAGE}/lib/{PACKAGE}/detector"
-STAND_INS = DOCKER / "stand-ins"
 SHARE = f"/workspace/install/{PACKAGE}/share/{PACKAGE}/"
 FROM_APT = {"numpy": "python3-numpy", "pyyaml": "python3-yaml"}
 
@@ -60,21 +58,13 @@ def pip_installs() -> list[list[str]]:
     ]
 
 
-def test_every_package_from_pip_is_one_of_the_apt_constraints() -> None:
-    assert pip_installs()
-    for words in pip_installs():
-        constraints = Path(words[words.index("-c") + 1])
-        assert constraints == Path("requirements/constraints-apt.txt")
-        assert ("COPY", "requirements requirements") in instructions()
-        names = [word for word in words if re.fullmatch(r"[a-z][a-z0-9-]*", word)]
-        assert set(names) <= pins(constraints.name).keys()
-        assert set(names) == {word for word in words if not re.match(r"-|\$|requirements/|https://", word)}
-
-
-def test_what_setup_asks_for_is_installed() -> None:
+def test_what_setup_asks_for_is_installed_in_the_versions_of_the_apt_constraints() -> None:
     requirements = map(Requirement, distribution(PACKAGE).requires or [])
     needed = {canonicalize_name(each.name) for each in requirements if "extra" not in str(each.marker)}
     installed = {word for words in pip_installs() for word in words}
+    assert all("-c requirements/constraints-apt.txt" in " ".join(words) for words in pip_installs())
+    names = {word for word in installed if re.fullmatch(r"[a-z][a-z0-9-]*", word)}
+    assert names <= pins("constraints-apt.txt").keys()
     brought_by_pydantic = {"annotated-types", "pydantic-core"}
     assert needed - brought_by_pydantic - FROM_APT.keys() <= installed
     assert {*FROM_APT.values(), "python3-opencv", "python3-scipy"} <= set(arguments_of("RUN")[-2].split())
@@ -121,15 +111,6 @@ def test_a_build_that_lacks_what_the_entry_point_runs_fails(colcon: str, code: i
     assert ("colcon made no install/" in tried.stderr) == bool(code)
 
 
-def test_bash_can_parse_every_script() -> None:
-    scripts = [file for file in DOCKER.iterdir() if file.is_file() and not file.suffix]
-    assert len(scripts) > 4
-    for script in [*scripts, STAND_INS / "make-archive"]:
-        assert os.access(script, os.X_OK)
-        run = subprocess.run(["bash", "-n", script], capture_output=True, text=True, check=False)
-        assert (run.returncode, run.stderr) == (0, "")
-
-
 def test_the_image_runs_without_root_and_keeps_weights_where_the_node_looks() -> None:
     (user,) = arguments_of("USER")
     (volume,) = arguments_of("VOLUME")
@@ -139,22 +120,15 @@ def test_the_image_runs_without_root_and_keeps_weights_where_the_node_looks() ->
     assert any(volume in run and f"-o {home.name}" in run for run in arguments_of("RUN"))
 
 
-def is_ignored(file: Path) -> bool:
-    """By .dockerignore, whose last pattern that fits decides; `file` lies at the top."""
-    patterns = (REPOSITORY / ".dockerignore").read_text().splitlines()
-    fitting = [pattern for pattern in patterns if fnmatch(file.name, pattern.removeprefix("!"))]
-    return bool(fitting) and not fitting[-1].startswith("!")
+def test_what_is_installed_in_the_image_is_not_ignored() -> None:
+    ignored = (REPOSITORY / ".dockerignore").read_text().split("\n")
+    needed = ["setup.py", "setup.cfg", "package.xml", "resource", PACKAGE, "config", "launch", "weights"]
+    assert [(name, one) for name in needed for one in ignored if fnmatch(name, one)] == []
 
 
-def test_what_is_copied_and_what_setup_needs_is_not_ignored(tmp_path: Path) -> None:
-    copied = {"setup.py", "setup.cfg", "package.xml", "resource", PACKAGE, "config", "launch", "weights"}
-    named = {source.split()[0] for source in arguments_of("COPY") if not source.startswith("--from")}
-    tops = copied | {Path(name).parts[0] for name in named if name != "."}
-    assert {file.parts[0] for file in published_files()} >= tops
-    assert not any(is_ignored(Path(top)) for top in tops)
-    for file in published_files():
-        if len(file.parts) == 1 and not is_ignored(file):
-            shutil.copy(REPOSITORY / file, tmp_path)
+def test_setup_does_without_the_files_that_the_image_leaves_out(tmp_path: Path) -> None:
+    for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
+        shutil.copy(REPOSITORY / name, tmp_path)
     command = [sys.executable, "setup.py", "--name", "--description", "--long-description"]
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (run.returncode, run.stdout.splitlines()[:1]) == (0, [PACKAGE]), run.stderr
@@ -203,7 +177,10 @@ def test_a_node_that_is_not_active_is_not_healthy_and_has_time_to_answer() -> No
 
 
 def test_what_builds_with_podman_keeps_the_health_check() -> None:
-    lines = [*typed(REPOSITORY / "docs" / "docker.md"), *(DOCKER / "try-build").read_text().splitlines()]
+    lines = [
+        *typed(REPOSITORY / "docs" / "docker.md"),
+        *(ENTRYPOINT.parent / "try-build").read_text().splitlines(),
+    ]
     builds = [line for line in lines if re.search(r"\b(podman|buildah) (build|bud)\b", line)]
     assert len(builds) == 2
     assert [line for line in builds if "--format docker" not in line] == []

@@ -29,7 +29,6 @@ from support.pages import (
     TOPICS,
     TUTORIAL,
     blocks,
-    spans,
     typed,
 )
 from support.recorded_scene import images, jpeg, raw, record, video
@@ -89,13 +88,8 @@ def check_make(target: str, *assignments: str) -> None:
     for assignment in assignments:
         variable, _, value = assignment.partition("=")
         assert re.search(rf"^{variable} \?=", MAKEFILE, re.MULTILINE)
-        check_flags(variable, value)
-
-
-def check_flags(variable: str, words: str) -> None:
-    """The options that `make` passes on to a module."""
-    if started := re.search(rf"python -m (\S+) \$\({variable}\)", MAKEFILE):
-        check_module(started[1], *shlex.split(words))
+        if started := re.search(rf"python -m (\S+) \$\({variable}\)", MAKEFILE):
+            check_module(started[1], *shlex.split(value))
 
 
 def check_param(verb: str, node: str, name: str = "", value: str = "") -> None:
@@ -173,12 +167,6 @@ def test_a_command_is_run_or_checked_or_of_another_program() -> None:
 def test_a_command_of_ros_or_make_names_only_what_exists(start: str) -> None:
     for command in (each for each in COMMANDS_OF_PAGES if check_of(each) == start):
         CHECKS[start](*shlex.split(command.removeprefix(start)))
-
-
-def test_the_words_that_make_hands_on_are_understood() -> None:
-    for span in (span for page in PAGES for span in spans(page)):
-        if assignment := re.fullmatch(r'(\w+_FLAGS)="(.*)"', span):
-            check_flags(*assignment.groups())
 
 
 # What this package installs is run, in a home with the files that the pages speak of.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 import zipfile
@@ -150,18 +149,3 @@ for file in distribution("{PACKAGE}_interfaces").files:
 """
     told = run(tmp_path, executables_with_ros / "python", "-c", program)
     assert sorted(told.stdout.splitlines()) == ["bond Copyright", "vision_msgs Apache"], told.stderr
-
-
-def test_without_opencv_a_command_says_how_to_install_it(
-    wheel: Path, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    folder = tmp_path_factory.mktemp("without OpenCV") / "environment"
-    executables = build_environment(folder, [wheel], ("bag",))
-    assert run(tmp_path, executables / "detect_bag", "--help").returncode == 0
-    told = run(tmp_path, executables / "detect_bag", "drive.mp4")
-    assert (told.returncode, told.stdout) == (1, "")
-    (line,) = told.stderr.splitlines()
-    assert "No module named 'cv2'" in line
-    python = shlex.quote(str(executables / "python"))
-    assert f"Install it with {python} -m pip install opencv-python-headless" in line
-    assert run(tmp_path, executables / "convert", "--help").returncode == 0

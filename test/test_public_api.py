@@ -162,21 +162,16 @@ def test_the_settings_are_those_that_were_given() -> None:
     )
 
 
-def test_every_wrong_value_is_told_in_the_words_of_the_node() -> None:
-    with pytest.raises(SettingsError) as refused:
-        load_model(WEIGHTS, device="gpu", confidence_threshold=25, image_size=True)
-    told = str(refused.value).splitlines()
-    assert told == [
-        "device: 'gpu' must be auto, cpu, cuda, cuda:N, N or mps. Did you mean 'cuda'?",
-        "image_size: true is not an integer from 64 to 4096, a multiple of 32. The default is 640.",
-        "confidence_threshold: 25.0 is not a number from 0 to 1. The default is 0.25.",
-    ]
-
-
 @pytest.mark.parametrize(
     ("settings", "error", "told"),
     [
         pytest.param({"weights": "absent.pt"}, WeightsError, "absent.pt", id="missing-file"),
+        pytest.param(
+            {"device": "gpu", "confidence_threshold": 25, "image_size": True},
+            SettingsError,
+            "(?s)Did you mean 'cuda'.*image_size: true is not an integer.*confidence_threshold: 25.0 is not",
+            id="every-wrong-value",
+        ),
         pytest.param({"classes": ["circel"]}, SettingsError, "Did you mean 'circle'?", id="unknown-class"),
         pytest.param({"regions": "0,0 1,0 1,1"}, SettingsError, r'mean \["0,0 1,0 1,1"\]', id="one-region"),
     ],

@@ -100,14 +100,6 @@ def test_a_file_is_missing_in_the_source_archive_or_is_too_much() -> None:
     assert "build/x: in the source archive, but not committed" in foreign
 
 
-def test_the_version_is_the_same_wherever_it_is_written() -> None:
-    assert version_problems(REPOSITORY) == []
-    assert (
-        distribution(PACKAGE).version
-        == re.findall("<version>(.*)</", (REPOSITORY / "package.xml").read_text())[0]
-    )
-
-
 @pytest.mark.parametrize(
     ("changed", "old", "new", "tag", "problem"),
     [

@@ -1,9 +1,8 @@
-"""The workflows for the site that hosts the repository: few rights, pinned actions, targets that exist."""
+"""The workflows for the site that hosts the repository: few rights, and none for code of strangers."""
 
 from __future__ import annotations
 
 import re
-import subprocess
 from typing import Any
 
 import pytest
@@ -20,27 +19,12 @@ WRITES = {
     ("release", "announce"): {"contents"},
 }
 """What a job may change; every other one only reads the repository."""
-ACTIONS = {
-    "actions/attest",
-    "actions/checkout",
-    "actions/download-artifact",
-    "actions/setup-python",
-    "actions/upload-artifact",
-}
-"""Where code of others runs in our name: a new one needs a reason, because a `run` step usually does."""
 FILES = sorted((REPOSITORY / ".github" / "workflows").glob("*.yml"))
-
-
 WORKFLOWS: dict[str, dict[Any, Any]] = {path.stem: yaml.safe_load(path.read_text()) for path in FILES}
 JOBS: list[tuple[str, str, dict[str, Any]]] = [
     (name, job, content) for name, workflow in WORKFLOWS.items() for job, content in workflow["jobs"].items()
 ]
-STEPS: list[tuple[str, dict[str, Any]]] = [
-    (f"{name}, {job}: {step.get('name', step.get('uses'))}", step)
-    for name, job, content in JOBS
-    for step in content.get("steps", [])
-]
-RUNS = [(where, step["run"]) for where, step in STEPS if "run" in step]
+STEPS: list[dict[str, Any]] = [step for *_, content in JOBS for step in content.get("steps", [])]
 
 
 def test_a_workflow_has_no_rights_and_a_job_changes_only_what_it_is_there_for() -> None:
@@ -55,17 +39,17 @@ def test_a_workflow_has_no_rights_and_a_job_changes_only_what_it_is_there_for() 
 
 
 def test_a_job_ends() -> None:
-    limits = [job["timeout-minutes"] for *_, job in JOBS if "runs-on" in job]  # others are workflows
-    assert limits
-    assert all(0 < minutes <= 360 for minutes in limits)
+    assert all(
+        0 < job["timeout-minutes"] <= 360 for *_, job in JOBS if "runs-on" in job
+    )  # others are workflows
 
 
-def test_a_dead_link_is_an_error_of_the_site_and_no_page_loads_anything_from_another_host() -> None:
-    configuration = (REPOSITORY / "mkdocs.yml").read_text()
-    assert "\nstrict: true\n" in configuration
-    validation = configuration.partition("\nvalidation:\n")[2].partition("\n\n")[0]
-    assert set(re.findall(r": (\w+)", validation)) == {"warn"}  # which `strict` makes errors
-    assert "\n  font: false" in configuration
+def test_a_variable_that_a_workflow_gives_to_make_is_one_of_the_makefile() -> None:
+    makefile = (REPOSITORY / "Makefile").read_text()
+    scripts = "\n".join(re.sub(r'"[^"]*"', "", step.get("run", "")) for step in STEPS)
+    given = {name for words in re.findall(r"\bmake (.*)", scripts) for name in re.findall(r"(\w+)=", words)}
+    assert "TORCH" in given
+    assert [name for name in given if not re.search(rf"^{name} \?=", makefile, re.MULTILINE)] == []
 
 
 def test_no_workflow_gives_the_rights_of_this_repository_to_a_change_of_strangers() -> None:
@@ -74,27 +58,15 @@ def test_no_workflow_gives_the_rights_of_this_repository_to_a_change_of_stranger
         assert {"pull_request_target", "workflow_run", "issue_comment"}.isdisjoint(triggers), name
         on_own_machine = ["self-hosted" in job.get("runs-on", "") for job in workflow["jobs"].values()]
         assert not any(on_own_machine) or "pull_request" not in triggers, name
+    assert [step["run"] for step in STEPS if "${{" in step.get("run", "")] == [], "it would become code"
 
 
 def test_an_action_is_pinned_by_one_digest_with_its_version_behind_it_and_keeps_no_token() -> None:
     text = "\n".join(path.read_text() for path in FILES)
     pins = set(re.findall(r"uses: (?!\./)(\S+@.*)$", text, re.MULTILINE))
-    assert sorted(pin.partition("@")[0] for pin in pins) == sorted(ACTIONS)
+    assert len(pins) == len({pin.partition("@")[0] for pin in pins}) > 0
+    assert {pin.partition("/")[0] for pin in pins} == {"actions"}, "what others made runs in our name"
     assert [pin for pin in pins if not re.search(r"@[0-9a-f]{40} # v\d+\.\d+\.\d+$", pin)] == []
-    checkouts = [step for _, step in STEPS if step.get("uses", "").startswith("actions/checkout@")]
+    checkouts = [step for step in STEPS if step.get("uses", "").startswith("actions/checkout@")]
     assert checkouts
     assert all(step["with"]["persist-credentials"] is False for step in checkouts)
-
-
-def test_a_script_takes_values_from_its_environment_and_names_only_what_make_has() -> None:
-    makefile, problems = (REPOSITORY / "Makefile").read_text(), []
-    for where, script in RUNS:
-        run = subprocess.run(["bash", "-n"], input=script, capture_output=True, text=True, check=False)
-        if "${{" in script or run.returncode != 0 or run.stderr:
-            problems.append(f"{where}: a value that would become code, or no bash: {run.stderr}")
-        for words in re.findall(r"\bmake ([a-z][a-z-]*(?: \w+=(?:\"[^\"]*\"|\S+))*)", script):
-            target, _, assignments = words.partition(" ")
-            names = re.findall(r"(\w+)=", re.sub(r'"[^"]*"', "", assignments))
-            lines = [f"^{target}:", *(rf"^{name} \?=" for name in names)]
-            problems += [f"{where}: {line}" for line in lines if not re.search(line, makefile, re.MULTILINE)]
-    assert problems == []

@@ -10,13 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.colcon_workspace import REPOSITORY
 from support.random_model import CLASS_NAMES, random_model
 from support.refusals import Refused
 
 from yolov5_lifecycle.checkpoints.locate import load_weights
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.commands.convert import main
+from yolov5_lifecycle.ros.child_process import entry_point
 
 OFFICIAL_PARAMETERS = "1,872,157"
 
@@ -109,20 +109,12 @@ def test_letters_that_the_terminal_lacks_are_escaped(
 @pytest.mark.end_to_end
 def test_the_official_model_is_converted_by_the_command(reference_dir: Path, tmp_path: Path) -> None:
     target = tmp_path / "yolov5n.safetensors"
-    command = [
-        sys.executable,
-        "-W",
-        "error",
-        "-c",
-        "import sys; from yolov5_lifecycle.commands.convert import main; sys.exit(main())",
-    ]
-    source = reference_dir / "weights" / "yolov5n.pt"
     finished = subprocess.run(
-        [*command, source, target],
+        [entry_point("convert"), reference_dir / "weights" / "yolov5n.pt", target],
         capture_output=True,
         text=True,
         timeout=100,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        env=os.environ | {"PYTHONWARNINGS": "error"},
     )
     assert (finished.returncode, finished.stderr) == (0, "")
     assert f"parameters  {OFFICIAL_PARAMETERS}" in finished.stdout

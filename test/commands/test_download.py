@@ -33,47 +33,41 @@ from yolov5_lifecycle.commands.fetch_weights import main
 from yolov5_lifecycle.models.model import UncheckedError, WeightsError
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A folder that is not there yet."""
-    return tmp_path / "ros" / "yolov5"
-
-
-def test_redirects_are_followed(folder: Path, checkpoint: bytes) -> None:
+def test_redirects_are_followed(tmp_path: Path, checkpoint: bytes) -> None:
     with (
         FileServer(sending_ranges(checkpoint)) as last,
         FileServer(redirecting(last.address)) as second,
         FileServer(redirecting(second.address)) as first,
     ):
-        assert fetch_from(first, folder).path.read_bytes() == checkpoint
+        assert fetch_from(first, tmp_path).path.read_bytes() == checkpoint
 
 
-def test_a_file_that_was_cut_is_continued(folder: Path, checkpoint: bytes) -> None:
+def test_a_file_that_was_cut_is_continued(tmp_path: Path, checkpoint: bytes) -> None:
     half = len(checkpoint) // 2
     with FileServer(sending(checkpoint[:half], length=len(checkpoint))) as server:
         with pytest.raises(DownloadError, match=f"ended after {half} of {len(checkpoint)} bytes; run the co"):
-            fetch_from(server, folder)
-        assert not (folder / "yolov5n.pt").exists()
+            fetch_from(server, tmp_path)
+        assert not (tmp_path / "yolov5n.pt").exists()
         server.behaviour = sending_ranges(checkpoint)
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+        assert fetch_from(server, tmp_path).path.read_bytes() == checkpoint
     assert server.requests[1] == ("/releases/yolov5n.pt", f"bytes={half}-")
 
 
-def test_a_stall_ends_and_what_came_is_kept(folder: Path, checkpoint: bytes) -> None:
+def test_a_stall_ends_and_what_came_is_kept(tmp_path: Path, checkpoint: bytes) -> None:
     with FileServer(stalling(checkpoint, 1 << 15)) as server:
         with pytest.raises(DownloadError, match="no data for 3 s, after 32768 bytes"):
-            fetch_from(server, folder, stall_s=3)  # long enough for the beginning on a busy machine
-        assert unfinished(folder).stat().st_size == 1 << 15
+            fetch_from(server, tmp_path, stall_s=3)  # long enough for the beginning on a busy machine
+        assert unfinished(tmp_path).stat().st_size == 1 << 15
         server.behaviour = sending_ranges(checkpoint)
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+        assert fetch_from(server, tmp_path).path.read_bytes() == checkpoint
 
 
-def test_a_server_that_never_answers_times_out(folder: Path) -> None:
+def test_a_server_that_never_answers_times_out(tmp_path: Path) -> None:
     with (
         FileServer(lambda request: request.server.wait(request)) as server,
         pytest.raises(DownloadError, match=r"no answer \(timed out\)"),
     ):
-        fetch_from(server, folder, stall_s=0.2)
+        fetch_from(server, tmp_path, stall_s=0.2)
 
 
 def beginning_elsewhere(body: bytes, start: int) -> Behaviour:
@@ -81,25 +75,16 @@ def beginning_elsewhere(body: bytes, start: int) -> Behaviour:
     return lambda request: request.answer(body[start:], status=206, Content_Range=content_range)
 
 
-@pytest.mark.long
-def test_from_a_server_that_knows_no_ranges_the_whole_file_is_taken(folder: Path, checkpoint: bytes) -> None:
-    folder.mkdir(parents=True)
-    unfinished(folder).write_bytes(checkpoint[:100])
-    with FileServer(sending(checkpoint)) as server:
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
-
-
-def test_a_beginning_that_is_longer_than_the_file_is_removed(folder: Path, checkpoint: bytes) -> None:
-    folder.mkdir(parents=True)
-    unfinished(folder).write_bytes(bytes(len(checkpoint) + 1))
+def test_a_beginning_that_is_longer_than_the_file_is_removed(tmp_path: Path, checkpoint: bytes) -> None:
+    unfinished(tmp_path).write_bytes(bytes(len(checkpoint) + 1))
     with FileServer(sending_ranges(checkpoint)) as server:
         with pytest.raises(WeightsError, match="It was removed"):
-            fetch_from(server, folder)
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+            fetch_from(server, tmp_path)
+        assert fetch_from(server, tmp_path).path.read_bytes() == checkpoint
 
 
 def test_a_download_that_could_not_be_checked_is_kept_and_used_later(
-    folder: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, checkpoint: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_memory(path: Path) -> WeightsFile:
         raise UncheckedError(f"{path}: not enough memory to read it; free some.")
@@ -108,10 +93,10 @@ def test_a_download_that_could_not_be_checked_is_kept_and_used_later(
         with monkeypatch.context() as patch:
             patch.setattr(module, "load_weights", no_memory)
             with pytest.raises(UncheckedError, match="The download is kept: then run the command again"):
-                fetch_from(server, folder)
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+                fetch_from(server, tmp_path)
+        assert fetch_from(server, tmp_path).path.read_bytes() == checkpoint
     assert [asked for _, asked in server.requests] == ["", f"bytes={len(checkpoint)}-"]
-    assert not unfinished(folder).exists()
+    assert not unfinished(tmp_path).exists()
 
 
 ESCAPES = "\x1b]0;owned\x07\x1b[2J" + "x" * 5000
@@ -156,11 +141,10 @@ ESCAPES = "\x1b]0;owned\x07\x1b[2J" + "x" * 5000
     ],
 )
 def test_a_bad_answer_is_one_short_line_with_the_address_and_leaves_no_file(
-    folder: Path, checkpoint: bytes, refused: Refused, behave: Callable[[bytes], Behaviour], told: str
+    tmp_path: Path, checkpoint: bytes, refused: Refused, behave: Callable[[bytes], Behaviour], told: str
 ) -> None:
-    folder.mkdir(parents=True)
     with FileServer(behave(checkpoint)) as server:
-        error = refused(main, "n", "--dir", folder, "--url", server.address + PATTERN)
+        error = refused(main, "n", "--dir", tmp_path, "--url", server.address + PATTERN)
     _licence, line = error.splitlines()
     assert re.search(told, line), line
     assert line.startswith(f"fetch_weights: {server.address}")
@@ -168,11 +152,14 @@ def test_a_bad_answer_is_one_short_line_with_the_address_and_leaves_no_file(
     assert len(line) < 1000
 
 
-def test_a_chunked_answer_is_read(folder: Path, checkpoint: bytes) -> None:
+def test_the_chunked_answer_of_a_server_that_knows_no_ranges_is_taken_from_its_beginning(
+    tmp_path: Path, checkpoint: bytes
+) -> None:
+    unfinished(tmp_path).write_bytes(checkpoint[:100])
     half = len(checkpoint) // 2
     chunks = [b"%x\r\n%b\r\n" % (len(part), part) for part in (checkpoint[:half], checkpoint[half:])]
     with FileServer(chunked(*chunks, b"0\r\n\r\n")) as server:
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+        assert fetch_from(server, tmp_path).path.read_bytes() == checkpoint
 
 
 @pytest.mark.parametrize(

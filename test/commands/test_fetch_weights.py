@@ -31,61 +31,67 @@ from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.ros.child_process import entry_point
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A folder that is not there yet."""
-    return tmp_path / "ros" / "yolov5"
-
-
-def test_the_file_of_the_size_comes_to_where_the_detector_looks(
-    folder: Path, checkpoint: bytes, digest: str
+def test_the_file_of_the_size_comes_to_where_the_detector_looks_and_is_told_with_its_licence(
+    tmp_path: Path,
+    checkpoint: bytes,
+    digest: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    folder = tmp_path / "ros" / "yolov5"  # not there yet
     with FileServer(sending_ranges(checkpoint)) as server:
-        fetched = fetch_from(server, folder, sha256=digest)
+        monkeypatch.setenv("YOLOV5_WEIGHTS_URL", server.address + PATTERN)
+        assert main(["n", "--dir", str(folder), "--sha256", digest.upper()]) == 0
     assert server.requests == [("/releases/yolov5n.pt", "")]
-    assert find_weights(weights="", weights_dir=folder, model_size="n") == fetched.path
-    assert fetched.path.read_bytes() == checkpoint
-    assert fetched.model.class_names == CLASS_NAMES
+    path = find_weights(weights="", weights_dir=folder, model_size="n")
+    assert path.read_bytes() == checkpoint
     assert not unfinished(folder).exists()
+    told = capsys.readouterr()
+    assert told.err.count("AGPL-3.0") == told.err.count("\n") == 1
+    assert told.out.splitlines()[0] == str(path)
+    assert told.out.splitlines()[-1] == f"sha256      {digest}"
 
 
-def test_a_model_that_segments_comes_under_its_own_name(folder: Path) -> None:
+def test_a_model_that_segments_comes_under_its_own_name_and_is_said_not_to_be_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     model = official_model(SMALL_FAMILIES["segmentation"], kind="models.yolo.SegmentationModel")
     with FileServer(sending_ranges(saved(stripped(model)))) as server:
-        fetched = fetch_from(server, folder, model="n-seg")
+        assert main(["n-seg", "--dir", str(tmp_path), "--url", server.address + PATTERN]) == 0
     assert server.requests == [("/releases/yolov5n-seg.pt", "")]
-    assert fetched.path == folder / "yolov5n-seg.pt"
-    assert fetched.model.architecture.mask_coefficients == 8
+    first, *_, last = capsys.readouterr().out.splitlines()
+    assert first == str(tmp_path / "yolov5n-seg.pt")
+    assert load_weights(Path(first)).model.architecture.mask_coefficients == 8
+    told = "official    not checked: the sha256 of yolov5n-seg.pt is not known here; --sha256 checks it"
+    assert last == told
 
 
-def test_a_file_that_is_there_is_not_asked_for_again(folder: Path, checkpoint: bytes, digest: str) -> None:
-    folder.mkdir(parents=True)
-    (folder / "yolov5n.pt").write_bytes(checkpoint)
+def test_a_file_that_is_there_is_not_asked_for_again(tmp_path: Path, checkpoint: bytes, digest: str) -> None:
+    (tmp_path / "yolov5n.pt").write_bytes(checkpoint)
     with FileServer(sending(b"")) as server:
-        assert fetch_from(server, folder, sha256=digest).sha256 == digest
+        assert fetch_from(server, tmp_path, sha256=digest).sha256 == digest
         with pytest.raises(WeightsError, match=f"its sha256 is {digest}, expected {'0' * 64}"):
-            fetch_from(server, folder, sha256="0" * 64)
+            fetch_from(server, tmp_path, sha256="0" * 64)
     assert server.requests == []
-    assert (folder / "yolov5n.pt").exists()
+    assert (tmp_path / "yolov5n.pt").exists()
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
 def test_what_is_no_file_is_neither_written_nor_waited_for(
-    folder: Path, checkpoint: bytes, kind: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, checkpoint: bytes, kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder.mkdir(parents=True)
     name = "yolov5n.partial.pt"
-    precious = folder.parent / "precious"
+    precious = tmp_path / "precious"
     precious.write_bytes(b"precious")
     if kind == "folder":
-        (folder / name).mkdir()
+        (tmp_path / name).mkdir()
     elif kind == "pipe":
-        os.mkfifo(folder / name)
+        os.mkfifo(tmp_path / name)
     else:
-        (folder / name).symlink_to(precious)
+        (tmp_path / name).symlink_to(precious)
     with FileServer(sending(checkpoint)) as server:
-        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
-    assert str(folder / name) in capsys.readouterr().err
+        assert main(["n", "--dir", str(tmp_path), "--url", server.address + PATTERN]) == 1
+    assert str(tmp_path / name) in capsys.readouterr().err
     assert precious.read_bytes() == b"precious"
 
 
@@ -98,73 +104,45 @@ def test_what_is_no_file_is_neither_written_nor_waited_for(
     ],
 )
 def test_an_address_that_cannot_be_used_is_one_line(
-    folder: Path, refused: Refused, url: str, told: str
+    tmp_path: Path, refused: Refused, url: str, told: str
 ) -> None:
-    folder.mkdir(parents=True)
-    _licence, line = refused(main, "n", "--dir", folder, "--url", url).splitlines()
+    _licence, line = refused(main, "n", "--dir", tmp_path, "--url", url).splitlines()
     assert line.startswith("fetch_weights: ")
     assert told in line
 
 
-def test_two_at_a_time_do_not_mix_their_files(folder: Path, checkpoint: bytes) -> None:
+def test_two_at_a_time_do_not_mix_their_files(tmp_path: Path, checkpoint: bytes) -> None:
     def second(request: ServedRequest) -> None:
         with pytest.raises(DownloadError, match="another fetch_weights is running"):
-            fetch_from(server, folder)
+            fetch_from(server, tmp_path)
         sending(checkpoint)(request)
 
     with FileServer(second) as server:
-        assert fetch_from(server, folder).path.read_bytes() == checkpoint
+        assert fetch_from(server, tmp_path).path.read_bytes() == checkpoint
     assert len(server.requests) == 1
 
 
-def test_the_command_prints_the_licence_once_and_then_the_facts(
-    folder: Path,
-    checkpoint: bytes,
-    digest: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with FileServer(sending(checkpoint)) as server:
-        monkeypatch.setenv("YOLOV5_WEIGHTS_URL", server.address + PATTERN)
-        assert main(["n", "--dir", str(folder), "--sha256", digest.upper()]) == 0
-    told = capsys.readouterr()
-    assert told.err.count("AGPL-3.0") == told.err.count("\n") == 1
-    assert told.out.splitlines()[0] == str(folder / "yolov5n.pt")
-    assert told.out.splitlines()[-1] == f"sha256      {digest}"
-
-
-def test_on_request_a_safetensors_file_lies_beside_it(folder: Path, checkpoint: bytes, digest: str) -> None:
-    words = ["n", "--dir", str(folder), "--sha256", digest, "--safetensors"]
+def test_on_request_a_safetensors_file_lies_beside_it(tmp_path: Path, checkpoint: bytes, digest: str) -> None:
+    words = ["n", "--dir", str(tmp_path), "--sha256", digest, "--safetensors"]
     with FileServer(sending(checkpoint)) as server:
         arguments = [*words, "--url", server.address + PATTERN]
         assert main(arguments) == 0
         assert main(arguments) == 0, "the second time everything is there"
-    converted = find_weights(weights="", weights_dir=folder, model_size="n")
-    assert converted == folder / "yolov5n.safetensors"
+    converted = find_weights(weights="", weights_dir=tmp_path, model_size="n")
+    assert converted == tmp_path / "yolov5n.safetensors"
     assert load_weights(converted).model.class_names == CLASS_NAMES
     assert len(server.requests) == 1
 
 
 def test_a_mirror_with_another_file_than_the_official_one_is_refused(
-    folder: Path, checkpoint: bytes, digest: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, checkpoint: bytes, digest: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with FileServer(sending(checkpoint)) as server:
-        assert main(["n", "--dir", str(folder), "--url", server.address + PATTERN]) == 1
+        assert main(["n", "--dir", str(tmp_path), "--url", server.address + PATTERN]) == 1
     told = capsys.readouterr().err.splitlines()[-1]
     assert f"its sha256 is {digest}, expected {SHA256['n']}" in told
     assert "that of yolov5n.pt in release v7.0: for another file that you trust" in told
-    assert list(folder.glob("*.pt")) == []
-
-
-def test_a_model_without_a_known_digest_is_said_not_to_be_checked(
-    folder: Path, checkpoint: bytes, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with FileServer(sending(checkpoint)) as server:
-        assert main(["n-seg", "--dir", str(folder), "--url", server.address + PATTERN]) == 0
-    line = capsys.readouterr().out.splitlines()[-1]
-    assert (
-        line == "official    not checked: the sha256 of yolov5n-seg.pt is not known here; --sha256 checks it"
-    )
+    assert list(tmp_path.glob("*.pt")) == []
 
 
 def test_the_official_digests_are_of_official_models_and_all_different() -> None:
@@ -175,7 +153,7 @@ def test_the_official_digests_are_of_official_models_and_all_different() -> None
 
 
 def test_a_terminal_sees_the_progress(
-    folder: Path, checkpoint: bytes, digest: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, checkpoint: bytes, digest: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     master, terminal = pty.openpty()
     with (
@@ -184,7 +162,7 @@ def test_a_terminal_sees_the_progress(
         monkeypatch.context() as patch,
     ):
         patch.setattr(sys, "stderr", stderr)
-        words = ["n", "--dir", str(folder), "--sha256", digest]
+        words = ["n", "--dir", str(tmp_path), "--sha256", digest]
         assert main([*words, "--url", server.address + PATTERN]) == 0
     told = os.read(master, 1 << 16).decode()
     os.close(master)
@@ -192,10 +170,10 @@ def test_a_terminal_sees_the_progress(
 
 
 def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
-    folder: Path, checkpoint: bytes, refused: Refused
+    tmp_path: Path, checkpoint: bytes, refused: Refused
 ) -> None:
     with FileServer(sending(checkpoint)) as server:
-        words = ["n", "--dir", folder, "--url", server.address + PATTERN, "--sha256", "abc"]
+        words = ["n", "--dir", tmp_path, "--url", server.address + PATTERN, "--sha256", "abc"]
         line = refused.in_a_line(main, *words, code=2)
     assert line.startswith("fetch_weights: ")
     assert "must be 64 hexadecimal digits" in line
@@ -204,9 +182,9 @@ def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
 
 @pytest.mark.end_to_end
 def test_the_command_resumes_what_was_cut_and_ends_with_a_file_that_the_detector_finds(
-    folder: Path, checkpoint: bytes, digest: str
+    tmp_path: Path, checkpoint: bytes, digest: str
 ) -> None:
-    command = [entry_point("fetch_weights"), "n", "--dir", str(folder), "--sha256", digest, "--safetensors"]
+    command = [entry_point("fetch_weights"), "n", "--dir", str(tmp_path), "--sha256", digest, "--safetensors"]
     with FileServer(sending(checkpoint[:5000], length=len(checkpoint))) as server:
         command += ["--url", server.address + PATTERN]
         cut = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
@@ -216,5 +194,5 @@ def test_the_command_resumes_what_was_cut_and_ends_with_a_file_that_the_detector
         done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert server.requests[1] == ("/releases/yolov5n.pt", "bytes=5000-")
-    found = find_weights(weights="", weights_dir=folder, model_size="n")
-    assert done.stdout.splitlines()[0] == str(found) == str(folder / "yolov5n.safetensors")
+    found = find_weights(weights="", weights_dir=tmp_path, model_size="n")
+    assert done.stdout.splitlines()[0] == str(found) == str(tmp_path / "yolov5n.safetensors")

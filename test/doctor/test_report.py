@@ -162,7 +162,6 @@ def test_the_end_of_the_doctor_ends_its_checks(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", ""),
         ("/home/ada/.cache is full", "~/.cache is full"),
         ("/home/adam/x", "/home/(user)/x"),
         ("/Users/eve/y", "/Users/(user)/y"),
@@ -172,7 +171,6 @@ def test_the_end_of_the_doctor_ends_its_checks(tmp_path: Path) -> None:
         ("aa:bb:cc:dd:ee:ff at 192.168.1.20", "(address) at (address)"),
         ("GPU-1f2e3d4c-0a1b-2c3d-4e5f-60718293a4b5 lost", "(serial) lost"),
         ("/dev/v4l/by-id/usb-046d_C920_5A2B-index0 is busy", "/dev/(serial) is busy"),
-        ("no route to 192.168.1.20", "no route to (address)"),
         ("10.0.0.7 and 172.20.1.2 and 127.0.0.1", "(address) and (address) and (address)"),
         ("OpenCV 4.10.0.84, driver 550.54.15", "OpenCV 4.10.0.84, driver 550.54.15"),
     ],

@@ -77,6 +77,7 @@ def test_a_command_shows_its_help_without_the_libraries_that_it_needs(command: s
     ("where", "command", "package"),
     [
         ("commands", "convert", "torch"),
+        ("commands", "detect_bag", "cv2"),
         ("ros", "detector", "torch"),
         ("ros", "detector", "rclpy"),
         ("ros", "camera", "cv2"),

@@ -131,11 +131,9 @@ def redirecting(target: str) -> Behaviour:
 PATTERN = "/releases/yolov5{size}.pt"
 
 
-def fetch_from(
-    server: FileServer, folder: Path, *, model: str = "n", sha256: str = "", stall_s: float = 20
-) -> WeightsFile:
+def fetch_from(server: FileServer, folder: Path, *, sha256: str = "", stall_s: float = 20) -> WeightsFile:
     """`fetch_weights n` from that server."""
-    return fetch(model, folder, url=server.address + PATTERN, sha256=sha256, stall_s=stall_s)
+    return fetch("n", folder, url=server.address + PATTERN, sha256=sha256, stall_s=stall_s)
 
 
 def unfinished(folder: Path) -> Path:

@@ -10,7 +10,6 @@ from yolov5_lifecycle.ros.topics import published, subscribed
 
 README = REPOSITORY / "README.md"
 TUTORIAL = REPOSITORY / "docs" / "tutorial.md"
-MIGRATION = REPOSITORY / "docs" / "migration.md"
 PAGES = [
     README,
     *(
@@ -29,12 +28,6 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^ *```{language}\n(.*?)^ *```", page.read_text(), re.MULTILINE | re.DOTALL)
 
 
-def spans(page: Path) -> list[str]:
-    """What stands between single backticks, outside of fenced blocks."""
-    prose = re.sub(r"^ *```.*?^ *```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", prose)]
-
-
 def typed(page: Path) -> list[str]:
     """The lines of the console blocks, without the output of a command that is marked with $."""
     lines = []
@@ -42,11 +35,3 @@ def typed(page: Path) -> list[str]:
         marked = [line.removeprefix("$ ") for line in block.splitlines() if line.startswith("$ ")]
         lines += marked or block.splitlines()
     return lines
-
-
-def table(page: Path, heading: str) -> list[list[str]]:
-    """The cells of the first table below `heading`, its head left out."""
-    section = page.read_text().partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
-    rows = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
-    assert rows, f"no table below {heading}"
-    return rows[2:]
