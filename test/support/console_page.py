@@ -68,6 +68,17 @@ class ConsolePage:
     def wait_for_state(self, state: str) -> None:
         self.wait_for(lambda: self.state == state, f"the state {state}")
 
+    def condition(self) -> tuple[list[str], str]:
+        """The condition and its word in the summary, and the text of the tab; the colour of its symbol."""
+        script = """
+            const [reason, tab] = [arguments[0], document.querySelector("nav a[aria-current]")];
+            const word = reason.querySelector(".level").textContent;
+            const { color } = getComputedStyle(tab.querySelector(".symbol"));
+            return [[reason.dataset.condition, word, tab.textContent], color];
+            """
+        shown, colour = self.driver.execute_script(script, self.find(".reason"))
+        return list(shown), str(colour)
+
     def press(self, transition: str) -> None:
         """Press the button of a transition once it is there."""
         css = f'[data-transition="{transition}"]'

@@ -80,7 +80,6 @@ def test_a_wrong_value_is_explained(parameters: dict[str, object], told: list[st
         pytest.param(
             {f"{RAW_QOS}.deph": 5}, 2, ["Did you mean", f"{RAW_QOS}.depth"], id="quality of service"
         ),
-        pytest.param({"source": "/nowhere.mp4"}, 1, ["'/nowhere.mp4' is neither"], id="source"),
     ],
 )
 def test_a_wrong_parameter_ends_the_process_with_the_reason(
