@@ -25,17 +25,11 @@ Result = TypeVar("Result")
 
 
 class ConsolePage:
-    """The page at `url`; what is looked for is that of the detector `node`."""
+    """The page that the browser shows; what is looked for is that of the detector `node`."""
 
-    def __init__(self, driver: Chrome, url: str, *, node: str = NODE) -> None:
+    def __init__(self, driver: Chrome, node: str = NODE) -> None:
         self.driver = driver
-        self._url = url
         self._node = f'article[data-node="{node}"]'
-
-    def open(self) -> None:
-        """Load the page, and wait until it shows the detector."""
-        self.driver.get(self._url)
-        self.wait_for(lambda: self.state != "", "the state of the detector")
 
     def wait_for(self, condition: Callable[[], Result], what: str) -> Result:
         """Wait until `condition()` is true, and return it."""

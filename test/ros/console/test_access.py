@@ -141,7 +141,6 @@ def test_consoles_that_start_together_share_one_token(tmp_path: Path) -> None:
         pytest.param(TOKEN, 0o604, "others may have read", id="readable by others"),
         pytest.param(TOKEN, 0o620, "others may have read", id="writable by the group"),
         pytest.param("short", 0o600, "at least 32", id="short"),
-        pytest.param("", 0o600, "at least 32", id="empty"),
         pytest.param("two words " * 10, 0o600, "expected one token", id="several words"),
     ],
 )

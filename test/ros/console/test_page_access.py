@@ -24,15 +24,6 @@ from support.page_fixtures import ConsoleRobot, opened
 
 pytestmark = pytest.mark.long
 
-STEERING = (
-    '[data-parameter="confidence_threshold"] input[type="range"]',
-    '[data-parameter="classes"] [data-name="star"]',
-    '[data-parameter="agnostic_nms"] input',
-    '[data-group="reload"] > summary',
-    '[data-parameter="precision"] select',
-    '[data-transition="deactivate"]',
-)
-"""One of each kind of widget, which test_page_steering.py changes with keys."""
 MAX_STOPS = 400
 """More presses of Tab than the page has stops."""
 SERIOUS = ("serious", "critical")
@@ -46,6 +37,11 @@ WIDGETS = {
     "tracker": "select",
     "classes": '[data-name="star"]',
 }
+STEERING = (
+    *(f'[data-parameter="{name}"] {css}' for name, css in WIDGETS.items()),
+    *('[data-group="reload"] > summary', '[data-transition="deactivate"]'),
+)
+"""What the keyboard must come to; test_page_steering.py changes one of each kind with keys."""
 
 
 def open_everything(page: ConsolePage) -> None:
@@ -98,7 +94,7 @@ def walked(page: ConsolePage) -> Iterator[dict[str, Any]]:
             const top = document.elementFromPoint(box.left + box.width / 2, box.top + 2);
             return {
               html: part.outerHTML.slice(0, 200),
-              steers: arguments[0].filter((css) => part.matches(css)),
+              steers: arguments[0].filter((css) => part.closest(css) !== null),
               outline: outlineStyle !== "none" && parseFloat(outlineWidth) >= 2,
               covered: top !== null && top.closest(".bar") !== null && part.closest(".bar") === null,
             };

@@ -110,7 +110,7 @@ def test_nothing_of_a_killed_detector_is_shown_as_current_until_it_is_restarted(
     browser: Chrome, domain: int
 ) -> None:
     with console_process(domain) as console, ExitStack() as first:
-        page = ConsolePage(browser, address(console))
+        page = ConsolePage(browser)
         browser.get(address(console))
         empty = browser.find_element(By.ID, "empty")
         page.wait_for(lambda: "No detector yet" in empty.text, "the empty page")
@@ -164,9 +164,8 @@ def test_a_token_opens_the_page_and_another_one_is_refused(
 ) -> None:
     file = tmp_path_factory.mktemp("state") / "token"
     with console_process(robot.detector.domain, "--host", "0.0.0.0", "--token-file", str(file)) as console:
-        url = f"http://127.0.0.1:{urlsplit(address(console)).port}/"
-        page = ConsolePage(browser, url)
-        browser.get(url)
+        page = ConsolePage(browser)
+        browser.get(f"http://127.0.0.1:{urlsplit(address(console)).port}/")
         log_in(browser, "0" * 43)
         page.wait_for(lambda: "not the token" in browser.find_element(By.ID, "refused").text, "the refusal")
         log_in(browser, "\u2603")

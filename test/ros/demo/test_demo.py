@@ -143,7 +143,7 @@ def test_the_pixels_of_objects_that_belong_together_are_compared() -> None:
     true = masks(of_1=slice(0, 10), of_2=slice(10, 20))
     exchanged = masks(of_2=slice(0, 10), of_1=slice(10, 20))
     assert mask_ious([(0, 1), (1, 0)], true, exchanged) == [1.0, 1.0]
-    assert mask_ious([(0, 0), (1, 1)], true, masks()) == [0.0, 0.0]
+    assert mask_ious([(0, 0), (1, 1)], true, masks(of_1=slice(5, 15))) == pytest.approx([1 / 3, 0])
 
 
 @pytest.mark.parametrize(
