@@ -398,18 +398,21 @@ def test_many_managed_nodes_hide_a_detector_only_if_they_look_like_one(
     }
     with ExitStack() as stack:
         context = stack.enter_context(lone_node("crowd")).context
-        crowd = [rclpy.create_node(f"a{n:02}", context=context) for n in range(MAX_DETECTORS + 8)]
-        for node in crowd:
-            stack.callback(node.destroy_node)
-            node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-            for service, kind in kinds.items():
-                node.create_service(kind, f"~/{service}", lambda _, answer: answer)
+
+        def join(initial: str, services: dict[str, Any]) -> None:
+            for number in range(MAX_DETECTORS + 8):
+                node = rclpy.create_node(f"{initial}{number:02}", context=context)
+                stack.callback(node.destroy_node)
+                node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+                for service, kind in services.items():
+                    node.create_service(kind, f"~/{service}", lambda _, answer: answer)
+
+        join("a", kinds)
         process = stack.enter_context(console_process(console.domain))
         other = stack.enter_context(ConsoleClient(address(process)).page())
         other.wait_for(lambda: NODE in other.nodes, "the detector behind the others")
-        for node in crowd:
-            node.create_service(Trigger, "~/collect", lambda _, answer: answer)
-        process.wait_for_output("further nodes are left out, /a", PATIENCE_S)
+        join("b", kinds | {"collect": Trigger})
+        process.wait_for_output("further nodes are left out, /b", PATIENCE_S)
         check_served(console, page, 0.91)
         assert [*other.nodes] == [NODE]
         assert page.gone == other.gone == []
