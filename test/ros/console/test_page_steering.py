@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rcl_interfaces.srv import ListParameters
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.keys import Keys
 from support.console_page import ConsolePage
@@ -205,9 +206,10 @@ def test_a_camera_has_its_own_image_reason_and_value_of_a_parameter(browser: Chr
         page.enter(name, "4")
         wait_for_value(robot, page, name, 4.0)
         page.reset(name)
+        observer = robot.detector.observer
+        client = observer.create_client(ListParameters, f"{NODE}/list_parameters")
 
-        def is_deleted() -> bool:
-            field = page.widget(name, TEXT)
-            return not page.is_busy(name) and field.get_attribute("placeholder") == "not set"
+        def listed() -> list[str]:
+            return list(observer.call(client, ListParameters.Request()).result.names)
 
-        page.wait_for(is_deleted, "no override")
+        page.wait_for(lambda: name not in listed(), "no override")
