@@ -25,17 +25,11 @@ Result = TypeVar("Result")
 
 
 class ConsolePage:
-    """The page at `url`; what is looked for is that of the detector `node`."""
+    """The page that the browser shows; what is looked for is that of the detector `node`."""
 
-    def __init__(self, driver: Chrome, url: str, *, node: str = NODE) -> None:
+    def __init__(self, driver: Chrome, node: str = NODE) -> None:
         self.driver = driver
-        self._url = url
         self._node = f'article[data-node="{node}"]'
-
-    def open(self) -> None:
-        """Load the page, and wait until it shows the detector."""
-        self.driver.get(self._url)
-        self.wait_for(lambda: self.state != "", "the state of the detector")
 
     def wait_for(self, condition: Callable[[], Result], what: str) -> Result:
         """Wait until `condition()` is true, and return it."""
@@ -67,6 +61,17 @@ class ConsolePage:
 
     def wait_for_state(self, state: str) -> None:
         self.wait_for(lambda: self.state == state, f"the state {state}")
+
+    def condition(self) -> tuple[list[str], str]:
+        """The condition and its word in the summary, and the text of the tab; the colour of its symbol."""
+        script = """
+            const [reason, tab] = [arguments[0], document.querySelector("nav a[aria-current]")];
+            const word = reason.querySelector(".level").textContent;
+            const { color } = getComputedStyle(tab.querySelector(".symbol"));
+            return [[reason.dataset.condition, word, tab.textContent], color];
+            """
+        shown, colour = self.driver.execute_script(script, self.find(".reason"))
+        return list(shown), str(colour)
 
     def press(self, transition: str) -> None:
         """Press the button of a transition once it is there."""

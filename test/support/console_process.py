@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlencode, urlsplit
 
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from support.detector_process import NODE, environment
@@ -39,6 +40,15 @@ def address(console: ChildProcess) -> str:
     found = _ADDRESS.search(console.output)
     assert found, console.output
     return found[1]
+
+
+def closing_code(connection: ClientConnection) -> int:
+    """Receive until the console closes the connection; the code that it gives, or 0."""
+    try:
+        while True:
+            connection.recv(PATIENCE_S)
+    except ConnectionClosed as closed:
+        return closed.rcvd.code if closed.rcvd else 0
 
 
 @dataclass(frozen=True)

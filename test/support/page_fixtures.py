@@ -20,7 +20,6 @@ from support.detector_process import (
     camera_process,
     detector_process,
 )
-from yolov5_lifecycle.ros.child_process import ChildProcess
 
 CAMERA = (
     *("--ros-args", "-r", f"image_raw:={NODE}/image_raw", "-p", "seed:=8", "-p", "rate:=15.0"),
@@ -33,7 +32,6 @@ class ConsoleRobot:
     """Camera, detector and console in a ROS domain of their own; `url` is that of the page."""
 
     detector: DetectorProcess
-    console: ChildProcess
     url: str
 
 
@@ -48,13 +46,13 @@ def console_robot(
         console_process(detector.domain) as console,
     ):
         detector.bring_to("active")
-        yield ConsoleRobot(detector, console, address(console))
+        yield ConsoleRobot(detector, address(console))
 
 
 def opened(browser: Chrome, url: str) -> ConsolePage:
     """The page of an active detector."""
-    page = ConsolePage(browser, url)
-    page.open()
+    browser.get(url)
+    page = ConsolePage(browser)
     page.wait_for_state("active")
     return page
 

@@ -19,10 +19,9 @@ from support.grey_images import GREYS, grey_folder, grey_video, nearest_grey
 from support.lone_node import lone_node
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
-from yolov5_lifecycle.images.encodings import decode_raw, encoded
 from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
 from yolov5_lifecycle.ros.camera import outputs
-from yolov5_lifecycle.ros.camera.outputs import CameraOutputs, jpeg_message
+from yolov5_lifecycle.ros.camera.outputs import CameraOutputs, jpeg_message, raw_message
 from yolov5_lifecycle.ros.camera.settings import CameraSettings
 from yolov5_lifecycle.ros.messages import image_of_message, stamp_ns
 from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
@@ -47,16 +46,7 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(channel_order: ChannelOr
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
     if encoding == "mono8":
         pixels[...] = pixels[..., :1]
-    buffer = encoded(ColourImage(pixels, channel_order), encoding)
-    height, width, channels = buffer.shape
-    decoded = decode_raw(
-        buffer.tobytes(),
-        encoding=encoding,
-        height=height,
-        width=width,
-        step=width * channels,
-        is_bigendian=False,
-    )
+    decoded = image_of_message(raw_message(ColourImage(pixels, channel_order), encoding, Header()))
     same = decoded.pixels if decoded.channel_order == channel_order else decoded.pixels[..., ::-1]
     assert (same == pixels).all()
 
@@ -65,7 +55,6 @@ def test_what_is_encoded_is_decoded_to_the_same_colours(channel_order: ChannelOr
     ("encoding", "format_"),
     [
         ("rgb8", "rgb8; jpeg compressed bgr8"),
-        ("bgra8", "bgra8; jpeg compressed bgr8"),
         ("mono8", "mono8; jpeg compressed "),
     ],
 )

@@ -74,19 +74,16 @@ def test_a_wrong_value_is_explained(parameters: dict[str, object], told: list[st
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("parameters", "code", "told"),
+    ("parameters", "told"),
     [
-        pytest.param({"sorce": "0", "rate": "-1.0"}, 2, ["Did you mean 'source'?", "rate: -1.0"], id="name"),
-        pytest.param(
-            {f"{RAW_QOS}.deph": 5}, 2, ["Did you mean", f"{RAW_QOS}.depth"], id="quality of service"
-        ),
-        pytest.param({"source": "/nowhere.mp4"}, 1, ["'/nowhere.mp4' is neither"], id="source"),
+        pytest.param({"sorce": "0", "rate": "-1.0"}, ["Did you mean 'source'?", "rate: -1.0"], id="name"),
+        pytest.param({f"{RAW_QOS}.deph": 5}, ["Did you mean", f"{RAW_QOS}.depth"], id="quality of service"),
     ],
 )
 def test_a_wrong_parameter_ends_the_process_with_the_reason(
-    ros_domain: int, parameters: dict[str, object], code: int, told: list[str]
+    ros_domain: int, parameters: dict[str, object], told: list[str]
 ) -> None:
     with camera_process(ros_domain, "--ros-args", *as_arguments(parameters)) as camera:
-        assert camera.wait(PATIENCE_S) == code
+        assert camera.wait(PATIENCE_S) == 2
     assert all(word in camera.output for word in told), camera.output
     assert "Traceback" not in camera.output

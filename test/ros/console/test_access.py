@@ -30,14 +30,6 @@ THERE = ("192.0.2.7", 8080)
 NAME = socket.gethostname().lower()
 
 
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
 @pytest.mark.parametrize(
     ("addresses", "server", "host", "scheme"),
     [
@@ -46,10 +38,7 @@ class Clock:
         pytest.param(LOOPBACK, ("::1", 8080), "[::1]:8080", "http", id="IPv6"),
         pytest.param(LOOPBACK, ("127.0.0.1", 80), "localhost", "http", id="port 80"),
         pytest.param(LOOPBACK, HERE, "127.0.0.1", "", id="another port"),
-        pytest.param(LOOPBACK, HERE, f"{NAME}.example:8080", "", id="rebound name"),
         pytest.param(LOOPBACK, HERE, "127.0.0.1.example.com:8080", "", id="name that begins like an address"),
-        pytest.param(LOOPBACK, HERE, "127.0.0.1:8080@example.com", "", id="user"),
-        pytest.param(LOOPBACK, HERE, "[::1:8080", "", id="open bracket"),
         pytest.param(LOOPBACK, HERE, "localhost:99999999999", "", id="long port"),
         pytest.param(LOOPBACK, HERE, "localhost:8080/x", "", id="path"),
         pytest.param(LOOPBACK, HERE, "user@localhost:8080", "", id="user of this machine"),
@@ -87,15 +76,11 @@ def test_an_origin_leaves_out_the_usual_port() -> None:
     assert NETWORK.is_own_origin("https://robot.example", "robot.example:443", "https")
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
-def test_on_a_loopback_address_no_token_is_needed_but_for_a_public_url(host: str) -> None:
-    assert not parsed(["--host", host]).needs_token
-    assert parsed(["--host", host, "--public-url", "https://robot.example"]).needs_token
-
-
-@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "robot"])
-def test_on_another_address_the_token_is_needed(host: str) -> None:
-    assert parsed(["--host", host]).needs_token
+def test_a_token_is_needed_but_on_a_loopback_address_without_a_public_url() -> None:
+    own, others = ["127.0.0.1", "127.1.2.3", "::1", "localhost"], ["0.0.0.0", "::", "192.0.2.7", "robot"]
+    assert [host for host in [*own, *others] if not parsed(["--host", host]).needs_token] == own
+    public = ["--public-url", "https://robot.example"]
+    assert [host for host in own if not parsed(["--host", host, *public]).needs_token] == []
 
 
 @pytest.mark.parametrize(
@@ -156,7 +141,6 @@ def test_consoles_that_start_together_share_one_token(tmp_path: Path) -> None:
         pytest.param(TOKEN, 0o604, "others may have read", id="readable by others"),
         pytest.param(TOKEN, 0o620, "others may have read", id="writable by the group"),
         pytest.param("short", 0o600, "at least 32", id="short"),
-        pytest.param("", 0o600, "at least 32", id="empty"),
         pytest.param("two words " * 10, 0o600, "expected one token", id="several words"),
     ],
 )
@@ -196,30 +180,30 @@ def test_a_user_without_a_home_is_told_to_set_it_or_choose_a_file(monkeypatch: p
 
 
 def test_a_session_has_a_random_id_and_ends() -> None:
-    clock = Clock()
-    sessions = Sessions(TOKEN, clock=clock)
+    now_s = 0.0
+    sessions = Sessions(TOKEN, clock=lambda: now_s)
     first, second = sessions.begin(), sessions.begin()
     assert first != second
     assert TOKEN not in first
     assert sessions.left_s(first) == SESSION_S
     assert sessions.left_s("") == 0
     assert sessions.left_s(TOKEN) == 0
-    clock.now_s = SESSION_S - 1
+    now_s = SESSION_S - 1
     assert sessions.left_s(first) == 1
-    clock.now_s = SESSION_S + 1
+    now_s = SESSION_S + 1
     assert sessions.left_s(first) == 0
 
 
 def test_wrong_tokens_are_throttled_for_each_address() -> None:
-    clock = Clock()
-    sessions = Sessions(TOKEN, clock=clock)
+    now_s = 0.0
+    sessions = Sessions(TOKEN, clock=lambda: now_s)
     assert [sessions.knows_token(f"wrong {number}", "192.0.2.1") for number in range(5)] == [False] * 5
     with pytest.raises(HTTPException, match="429: too many wrong tokens"):
         sessions.knows_token("wrong", "192.0.2.1")
     assert not sessions.knows_token("wrong", "192.0.2.2")
     assert sessions.knows_token(TOKEN, "192.0.2.1")  # the right one counts always
     for later_s, tries in ((12.0, 1), (10_000.0, 5)):
-        clock.now_s = later_s
+        now_s = later_s
         assert not any(sessions.knows_token("wrong", "192.0.2.1") for _ in range(tries))
         with pytest.raises(HTTPException):
             sessions.knows_token("wrong", "192.0.2.1")

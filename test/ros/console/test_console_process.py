@@ -6,7 +6,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -62,31 +61,15 @@ def test_a_port_in_use_is_explained() -> None:
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [
-        pytest.param(["--host", "192.0.2.1"], 1, "not an address of this machine", id="address"),
-        pytest.param(["--cert", "/none.pem", "--key", "/none.pem"], 1, "expected a certificate", id="files"),
-        pytest.param(
-            ["--public-url", "http://a", "--token-file", "/dev/null"], 1, "regular file", id="token"
-        ),
+        pytest.param(["--host", "::", "--token-file", "/dev/null"], 1, "regular file", id="token"),
         pytest.param(["--ros-args", "-r", "__node:=a b"], 2, "cannot start", id="ROS argument"),
     ],
 )
 def test_what_cannot_be_used_is_explained(words: list[str], code: int, expected: str) -> None:
     ended = run("--port", "0", *words)
     assert (ended.returncode, ended.stdout) == (code, "")
-    assert expected.lower() in ended.stderr.lower()
+    assert expected in ended.stderr
     assert "Traceback" not in ended.stderr
-
-
-@pytest.mark.long
-def test_a_missing_package_is_named_with_its_remedy(ros_domain: int) -> None:
-    program = (
-        "import sys; sys.modules['prometheus_client'] = None; sys.argv = ['console'];"
-        "from yolov5_lifecycle.ros.entry_points import console; console()"
-    )
-    words, variables = [sys.executable, "-c", program], environment(ros_domain)
-    ended = subprocess.run(words, env=variables, capture_output=True, text=True, timeout=120, check=False)
-    assert ended.returncode == 1
-    assert "pip install prometheus-client" in ended.stderr
 
 
 @pytest.mark.end_to_end

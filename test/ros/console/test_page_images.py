@@ -1,4 +1,4 @@
-"""The page of a detector and its images: green only while it detects, lost when nothing is heard of it."""
+"""The page of a detector and its images: lost when nothing is heard of it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ import pytest
 from numpy.typing import NDArray
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from sensor_msgs.msg import CompressedImage
 from support.console_page import ConsolePage
-from support.console_process import address, console_process
+from support.console_process import ConsoleClient, address, console_process
 from support.detector_process import (
     NODE,
     PARAMETERS,
@@ -28,28 +27,22 @@ from support.page_fixtures import CAMERA, ConsoleRobot, opened
 from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
-from yolov5_lifecycle.ros.messages import stamp_ns
 
 pytestmark = pytest.mark.long
 
 
 def test_the_image_is_that_of_the_detector_at_its_stamp(robot: ConsoleRobot, page: ConsolePage) -> None:
-    observer = robot.detector.observer
     sent: dict[float, bytes] = {}
-
-    def keep(message: CompressedImage) -> None:
-        sent[stamp_ns(message.header) / 1e9] = bytes(message.data)
-
-    subscription = observer.create_subscription(CompressedImage, f"{NODE}/image/compressed", keep, 500)
-
-    def both() -> tuple[NDArray[np.uint8], bytes] | None:
-        stamp_s, shown = page.image()
-        observer.work_for(0.2)
-        return next(((shown, jpeg) for sent_s, jpeg in sent.items() if abs(sent_s - stamp_s) < 1e-5), None)
-
     page.wait_for_image()
-    found = page.wait_for(both, "an image that has come here, too")
-    observer.destroy_subscription(subscription)
+    with ConsoleClient(robot.url).viewer() as viewer:
+
+        def both() -> tuple[NDArray[np.uint8], bytes] | None:
+            sent.update([viewer.receive()])
+            viewer.take()
+            stamp_s, shown = page.image()
+            return (shown, sent[stamp_s]) if stamp_s in sent else None
+
+        found = page.wait_for(both, "an image that has come here, too")
     assert found is not None
     expected = cv2.imdecode(np.frombuffer(found[1], np.uint8), cv2.IMREAD_COLOR)
     assert expected is not None
@@ -93,33 +86,9 @@ def wait_for_viewers(robot: ConsoleRobot, count: int) -> None:
     observer.wait_for(lambda: observer.count_subscribers(topic) == count, f"{count} viewers")
 
 
-def wait_for_condition(page: ConsolePage, name: str, summary: str, tab: str) -> str:
-    """Wait until summary and tab show the condition `name` in their words; the colour of the tab's symbol."""
-    script = """
-        const [reason, tab] = [arguments[0], document.querySelector("nav a")];
-        const shown = [reason.dataset.condition, reason.querySelector(".level").textContent, tab.textContent];
-        return [shown, getComputedStyle(tab.querySelector(".symbol")).color];
-        """
-
-    def colour() -> str:
-        shown, colour = page.driver.execute_script(script, page.find(".reason"))
-        return str(colour) if shown == [name, summary, tab] else ""
-
-    return page.wait_for(colour, f"{name}, {tab}")
-
-
-def test_only_a_detector_that_detects_is_green(page: ConsolePage) -> None:
-    page.wait_for_image()
-    colours = [wait_for_condition(page, "ok", "ok", f"✓{NODE} ok")]
-    page.enter("confidence_threshold", "1")
-    page.wait_for_text(".reason", "No detection in")
-    colours.append(wait_for_condition(page, "note", "note", f"i{NODE} note"))
-    for step, state in (("deactivate", "inactive"), ("cleanup", "unconfigured")):
-        page.press(step)
-        page.wait_for_state(state)
-        colours.append(wait_for_condition(page, "idle", "not detecting", f"○{NODE} {state}"))
-    assert page.text(".camera .figures") == "not detecting"
-    assert [colours.index(colour) for colour in colours] == [0, 1, 2, 2]
+def wait_for_condition(page: ConsolePage, *shown: str) -> None:
+    """Wait for the condition, its word in the summary, and the tab."""
+    page.wait_for(lambda: page.condition()[0] == [*shown], ", ".join(shown))
 
 
 @contextmanager
@@ -141,7 +110,7 @@ def test_nothing_of_a_killed_detector_is_shown_as_current_until_it_is_restarted(
     browser: Chrome, domain: int
 ) -> None:
     with console_process(domain) as console, ExitStack() as first:
-        page = ConsolePage(browser, address(console))
+        page = ConsolePage(browser)
         browser.get(address(console))
         empty = browser.find_element(By.ID, "empty")
         page.wait_for(lambda: "No detector yet" in empty.text, "the empty page")
@@ -195,9 +164,8 @@ def test_a_token_opens_the_page_and_another_one_is_refused(
 ) -> None:
     file = tmp_path_factory.mktemp("state") / "token"
     with console_process(robot.detector.domain, "--host", "0.0.0.0", "--token-file", str(file)) as console:
-        url = f"http://127.0.0.1:{urlsplit(address(console)).port}/"
-        page = ConsolePage(browser, url)
-        browser.get(url)
+        page = ConsolePage(browser)
+        browser.get(f"http://127.0.0.1:{urlsplit(address(console)).port}/")
         log_in(browser, "0" * 43)
         page.wait_for(lambda: "not the token" in browser.find_element(By.ID, "refused").text, "the refusal")
         log_in(browser, "\u2603")

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.long
 
 MAX_BAR_PX = 100
 CHIP = '[data-name="class 70"]'
-HELD = """
+HEARD = """
     window.opened = [];
     window.texts = [];
     window.WebSocket = class extends WebSocket {
@@ -38,30 +38,22 @@ HELD = """
           super.addEventListener(type, listener);
           return;
         }
-        const held = [];
         let isReplaced = false;
         window.deliver = (message) => {
           isReplaced = true;
           listener({ data: JSON.stringify(message) });
         };
         super.addEventListener(type, (event) => {
-          const message = JSON.parse(event.data);
           window.texts.push(event.data);
-          if (isReplaced) {
-            return;
-          }
-          if (message.type === "node" && message.node.name !== LAST) {
-            held.push(event);
-          } else {
+          if (!isReplaced) {
             listener(event);
-            held.splice(0).forEach(listener);
           }
         });
       }
     };
-    """.replace("LAST", repr(NAMES[-1]))
-"""The page gets the last detector before the others; `deliver` gives it a message in place of all
-further ones of the console, `opened` has the nodes whose images are open, `texts` what it was sent."""
+    """
+"""`deliver` gives the page a message in place of all further ones of the console, `opened` has the nodes
+whose images are open, `texts` what it was sent."""
 HOSTILE = "\"'><img src=x onerror=hit=1><script>hit=1</script><a href=javascript:hit=1>"
 TAINT = """
     const hostile = arguments[0], fixed = ["type", "change"];
@@ -88,6 +80,18 @@ SCROLLED = """
     return around(arguments[0]).filter(isScrolled).map((part) => part.className);
     """
 """Areas around a part that scroll by themselves, which a phone's page has no room for."""
+CONDITIONS: tuple[tuple[Any, ...], ...] = (
+    (0, "detecting", "active", "ok", "ok", "✓", "ok"),
+    (0, "", "active", "ok", "ok", "✓", "ok"),
+    (0, "No detection in ...", "active", "note", "note", "i", "note"),
+    (0, "inactive: activate ...", "inactive", "idle", "not detecting", "○", "inactive"),
+    (0, "detecting", "inactive", "idle", "not detecting", "○", "inactive"),
+    (0, "finalized", "finalized", "idle", "not detecting", "○", "finalized"),
+    (1, "no publisher", "active", "warning", "warning", "!", "warning"),
+    (2, "weights are missing", "inactive", "error", "error", "✕", "error"),
+    (3, "detecting", "active", "stale", "stale", "?", "stale"),
+)
+"""Level, message and state of a detector; its condition, and the words of summary and tab for it."""
 PLACES = (
     "title", "nav a", "main h2", ".state", "[data-transition]", ".camera h3", ".camera .message",
     ".reason .text", ".parameter .name", ".parameter > .hint", ".chip", "option",
@@ -115,13 +119,13 @@ def injected(driver: Chrome, source: str) -> Iterator[None]:
 @pytest.fixture
 def screen(browser: Chrome) -> Iterator[Chrome]:
     set_screen(browser, PHONE, is_phone=True)
-    with injected(browser, HELD):
+    with injected(browser, HEARD):
         yield browser
 
 
 def opened_page(screen: Chrome, console_url: str, name: str = "") -> ConsolePage:
     """The page at the address of the detector `name`, with the tabs of all."""
-    page = ConsolePage(screen, console_url, node=name or NAMES[0])
+    page = ConsolePage(screen, name or NAMES[0])
     screen.get("about:blank")
     screen.get(f"{console_url}#{quote(name, safe='')}")
     page.wait_for(lambda: len(screen.find_elements(By.CSS_SELECTOR, "nav a")) == len(NAMES), "all tabs")
@@ -145,35 +149,30 @@ def test_the_bar_of_twelve_detectors_is_one_row_with_the_shown_one_in_view(
     screen: Chrome, console_url: str
 ) -> None:
     opened_page(screen, console_url, NAMES[-1]).wait_for_state("unconfigured")
+    deliver(screen, type="node", node=node_sent(screen, NAMES[-1]) | {"name": "/another_detector"})
     bar, width = screen.execute_script(
         "return [document.querySelector('.bar').offsetHeight, document.documentElement.scrollWidth]"
     )
     assert bar <= MAX_BAR_PX
     assert width <= PHONE[0]
     tab = screen.find_element(By.CSS_SELECTOR, "nav a[aria-current]")
-    assert NAMES[-1] in tab.text  # the tabs of the others have come before it
+    assert NAMES[-1] in tab.text  # the tab of another one has come before it
     box = screen.execute_script("return arguments[0].getBoundingClientRect()", tab)
     assert 0 <= box["left"] < box["right"] <= PHONE[0]
 
 
-def test_ok_idle_warning_and_error_have_each_their_colour_in_the_tab(
-    screen: Chrome, console_url: str
-) -> None:
+def test_only_a_detector_that_detects_is_green_in_summary_and_tab(screen: Chrome, console_url: str) -> None:
     page = opened_page(screen, console_url, ACTIVE)
     page.wait_for_state("active")
-    node, colours = node_sent(screen, ACTIVE), set()
-    shown = (
-        (0, "active", "ok"),
-        (0, "inactive", "inactive"),
-        (1, "active", "warning"),
-        (2, "active", "error"),
-    )
-    for level, state, word in shown:
-        status = node["diagnostics"][0] | {"level": level, "message": ""}
+    node, colours = node_sent(screen, ACTIVE), dict[str, str]()
+    for level, message, state, *shown, symbol, word in CONDITIONS:
+        status = node["diagnostics"][0] | {"level": level, "message": message}
         deliver(screen, type="node", node=node | {"state": state, "diagnostics": [status], "cameras": []})
-        tab = screen.find_element(By.PARTIAL_LINK_TEXT, f"{ACTIVE} {word}")
-        colours.add(tab.find_element(By.CLASS_NAME, "symbol").value_of_css_property("color"))
-    assert len(colours) == len(shown)
+        told, colour = page.condition()
+        assert told == [*shown, f"{symbol}{ACTIVE} {word}"]
+        assert colours.setdefault(told[0], colour) == colour
+    assert colours.pop("stale") == colours["warning"]
+    assert len({*colours.values()}) == len(colours)
 
 
 def test_only_the_image_of_the_detector_in_the_address_is_opened(screen: Chrome, console_url: str) -> None:
@@ -221,7 +220,7 @@ def test_foreign_text_is_text_wherever_it_is_shown(screen: Chrome, console_url: 
     screen.get("about:blank")
     with injected(screen, source):
         screen.get(f"{console_url}#{quote(HOSTILE, safe='')}")
-    page = ConsolePage(screen, console_url)
+    page = ConsolePage(screen)
     script = "return Array.from(document.querySelectorAll(arguments[0]), (part) => part.textContent).join()"
 
     def is_shown(css: str) -> bool:

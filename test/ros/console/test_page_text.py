@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import example, given
 from hypothesis import strategies as st
 from selenium.webdriver import Chrome
@@ -89,28 +88,6 @@ def test_a_plot_ends_at_the_next_round_number_and_has_gaps_where_nothing_was_kno
     values = [1, None, 2, 3, None]
     assert call("history_view.js", "runs", values) == [[[4, 1]], [[2, 2], [1, 3]]]
     assert call("history_view.js", "runs", [None]) == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("level", "message", "state", "expected"),
-    [
-        pytest.param(DiagnosticStatus.OK, "detecting", "active", "ok", id="detecting"),
-        pytest.param(DiagnosticStatus.OK, "No detection in ...", "active", "note", id="remark"),
-        pytest.param(DiagnosticStatus.OK, "inactive: activate ...", "inactive", "idle", id="inactive"),
-        pytest.param(DiagnosticStatus.OK, "detecting", "inactive", "idle", id="older-than-the-state"),
-        pytest.param(DiagnosticStatus.OK, "finalized", "finalized", "idle", id="finalized"),
-        pytest.param(DiagnosticStatus.WARN, "no publisher", "active", "warning", id="warning"),
-        pytest.param(DiagnosticStatus.ERROR, "weights are missing", "inactive", "error", id="error"),
-        pytest.param(DiagnosticStatus.STALE, "detecting", "active", "stale", id="stale"),
-    ],
-)
-def test_a_condition_follows_from_level_message_and_state(
-    call: Call, level: bytes, message: str, state: str, expected: str
-) -> None:
-    status = {"name": "detection", "level": ord(level), "message": message, "values": {}}
-    node = {"state": state, "diagnostics": [status], "cameras": []}
-    assert call("condition.js", "summaryOf", node)["name"] == expected
 
 
 def test_every_file_of_the_page_is_used_names_no_other_server_and_sets_no_html() -> None:

@@ -75,17 +75,6 @@ def test_every_parameter_is_logged_with_the_source_of_its_value(
     assert rows["front.lazy"] == ["false", "set at run time"]
 
 
-def test_thousands_of_unknown_overrides_are_reported_soon(prepare: Preparations, tmp_path: Path) -> None:
-    file = tmp_path / "parameters.yaml"
-    unknown = "".join(f"      confidence_treshold{number}: 0.5\n" for number in range(5000))
-    file.write_text(f"/**:\n  ros__parameters:\n    cameras: [front]\n    front:\n{unknown}")
-    with ServedNode(prepare, arguments=["--ros-args", "--params-file", str(file)]) as served:
-        assert not served.transition("configure")
-        assert "21 problem(s)" in served.status().message
-        assert "and 4980 more: there are no such parameters." in served.status().message
-        assert served.set(lazy=False) == (True, "")
-
-
 # At run time
 
 
