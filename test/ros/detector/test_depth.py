@@ -147,7 +147,7 @@ def test_a_camera_that_names_no_frame_has_that_of_the_other(
     ("topic", "lens"),
     [
         ("/camera/image_raw", "plumb_bob"),
-        ("/rect/direct", "plumb_bob"),
+        ("/of_rect/direct", "plumb_bob"),
         ("/camera/image_rect_raw", "rectified"),
     ],
 )
