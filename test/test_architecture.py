@@ -118,7 +118,6 @@ def modules_in(*folders: str) -> list[str]:
     ("modules", "blocked"),
     [
         pytest.param(modules_in(*WITHOUT_TORCH), ("torch",), id="torch"),
-        pytest.param(modules_in("spatial"), ("cv2",), id="OpenCV"),
         pytest.param(modules_in("commands", "detection"), ("onnx", "onnxruntime", "openvino"), id="ONNX"),
         pytest.param(["ros.console.command"], ("torch", "cv2"), id="the console"),
         pytest.param(

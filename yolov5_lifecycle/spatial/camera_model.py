@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from yolov5_lifecycle.images.image import MAX_SIDE_PX, ImageError, check_frame_id
 
@@ -107,8 +106,12 @@ class Intrinsics:
         if self.distortion is None:
             return (columns - (self.cx + 0.5)) / self.fx, (rows - (self.cy + 0.5)) / self.fy
         height, width = self.size_hw
-        places = np.stack(np.broadcast_arrays(rows / height, columns / width)) * _CELLS
-        x, y = (map_coordinates(each, places, order=1, mode="nearest") for each in _grid_of(self))
+        down, right = (np.clip(places, 0, 1) * _CELLS for places in (rows / height, columns / width))
+        row, column = (np.minimum(places.astype(np.intp), _CELLS - 1) for places in (down, right))
+        grid, down, right = _grid_of(self), down - row, right - column
+        above = grid[:, row, column] * (1 - right) + grid[:, row, column + 1] * right
+        below = grid[:, row + 1, column] * (1 - right) + grid[:, row + 1, column + 1] * right
+        x, y = above * (1 - down) + below * down
         return x, y
 
 
