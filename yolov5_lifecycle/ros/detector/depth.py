@@ -57,7 +57,7 @@ UNPLACED_S = 2.0
 _NO_PLACE = "detections have no place in space"
 _REGISTER = (
     "subscribe to depth images that are registered to the colour camera, which its driver publishes as "
-    "aligned depth, or else `ros2 run depth_image_proc register_node`"
+    "aligned depth, or else `ros2 run depth_image_proc register_node` for rectified images"
 )
 
 
@@ -231,4 +231,5 @@ def _explained(
 
 def _of_another_camera(colour_frame: str, depth_frame: str) -> str:
     found = f"images of the frame {in_one_line(colour_frame)}, depth images of {in_one_line(depth_frame)}"
-    return f"{Unplaced.OTHER_CAMERA.value}: {found}; {_REGISTER}"
+    same = "if they are of one camera, give both one frame_id"
+    return f"{Unplaced.OTHER_CAMERA.value}: {found}; {_REGISTER}; {same}"
