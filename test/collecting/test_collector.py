@@ -139,7 +139,7 @@ def test_of_the_frames_of_some_minutes_the_best_are_kept(
 def test_a_slow_disk_delays_no_frame_and_what_is_lost_is_counted(disk: Disk) -> None:
     disk.gate.close()
     disk.collector.offer(candidate(0))
-    disk.gate.wait()
+    disk.gate.wait_until_reached()
     for seed in range(1, MAX_WAITING + 5):
         disk.collector.offer(candidate(seed))
     assert disk.collector.status.dropped == 4
@@ -150,7 +150,7 @@ def test_a_slow_disk_delays_no_frame_and_what_is_lost_is_counted(disk: Disk) -> 
 def test_large_frames_that_wait_have_a_bound_of_memory(disk: Disk) -> None:
     disk.gate.close()
     disk.collector.offer(candidate(0))
-    disk.gate.wait()
+    disk.gate.wait_until_reached()
     side = 4096
     large = ColourImage(np.zeros((side, side, 3), np.uint8), "bgr")
     for _ in range(MAX_WAITING):
@@ -202,7 +202,7 @@ def test_a_disk_that_fails_is_left_alone_for_a_while_and_then_used_again(disk: D
 def test_a_disk_that_hangs_does_not_keep_the_process(disk: Disk) -> None:
     disk.gate.close()
     disk.collector.offer(candidate())
-    disk.gate.wait()
+    disk.gate.wait_until_reached()
     assert not disk.collector.close(0.01)
 
 

@@ -151,7 +151,7 @@ def test_a_frame_that_hangs_after_its_detections_are_sent_is_abandoned_as_detect
     gate = {"publishing": line.publishing, "drawing": line.drawing}[moment]
     gate.close()
     line.offer(1)
-    gate.wait()
+    gate.wait_until_reached()
     assert not line.inference.close(0.0)
     gate.open()
     line.threads[0].join(PATIENCE_S)
@@ -269,7 +269,7 @@ class Cameras:
             camera.offer(1)
         first.open()
         for camera in (second, third):
-            camera.gate.wait()
+            camera.gate.wait_until_reached()
 
     def open(self) -> None:
         for camera in self.all:

@@ -40,6 +40,5 @@ class Gate:
 
         return held
 
-    def wait(self) -> None:
-        """Wait until somebody comes."""
+    def wait_until_reached(self) -> None:
         assert self.reached.wait(PATIENCE_S)

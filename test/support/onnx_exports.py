@@ -94,7 +94,8 @@ def small_export(
 
     Scores and coefficients lie in [0, 1], centres and sizes of boxes in [0, BOX_PX].
 
-    `metadata` replace those that exports have now. `has_raw_outputs`: as before v6.2, beside the boxes.
+    `metadata` replace those that exports have now. `has_raw_outputs`: of three levels, as before v6.2,
+    beside the boxes.
     """
     kind = np.float16 if is_half else np.float32
     number = helper.np_dtype_to_tensor_dtype(np.dtype(kind))
@@ -117,8 +118,9 @@ def small_export(
         outputs += ["prototypes"] if name == "prototypes" else []
     if has_raw_outputs:
         arrays["axis"] = np.array([1])
-        nodes.append(helper.make_node("Unsqueeze", ["cells", "axis"], ["raw"]))
-        outputs.append("raw")
+        raw = ["raw 8", "raw 16", "raw 32"]
+        nodes += [helper.make_node("Unsqueeze", ["cells", "axis"], [name]) for name in raw]
+        outputs += raw
     graph = helper.make_graph(
         nodes,
         "small",

@@ -84,7 +84,7 @@ class ScriptedCamera:
         """Offer one frame and return while a thread is inside it."""
         self.gate.close()
         self.offer(number)
-        self.gate.wait()
+        self.gate.wait_until_reached()
 
     def open(self) -> None:
         """Let frames go on, now and in all frames to come."""

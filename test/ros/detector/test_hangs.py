@@ -177,7 +177,7 @@ class Streams:
         )
         alone.open()
         for gate in of_streams:
-            gate.wait()
+            gate.wait_until_reached()
         return of_streams
 
     def release(self) -> None:
