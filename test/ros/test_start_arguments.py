@@ -133,7 +133,9 @@ def test_without_a_folder_for_its_log_a_node_names_the_variables(name: str, valu
     known = {variable: found for variable, found in os.environ.items() if not variable.startswith("ROS_")}
     with ChildProcess("node", [sys.executable, "-c", program], known | {name: value}) as process:
         assert process.wait(60) == 1
-    assert re.search(r"Error: .*log.*Set ROS_LOG_DIR to a folder .* in the folder HOME\.$", process.output)
+    assert re.search(
+        r"RuntimeError: .*log.*Set ROS_LOG_DIR to a folder .* in the folder HOME\.$", process.output
+    )
 
 
 # Files for other nodes

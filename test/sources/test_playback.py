@@ -129,3 +129,13 @@ def test_a_failure_ends_the_playback_and_is_reported(show: Callable[[SourceFrame
     with playback(lambda: ImageSource(failing(), 1000.0), show) as playing:
         wait_for_end(playing)
     assert re.fullmatch(told, playing.failure, re.DOTALL)
+
+
+def absent() -> ImageSource:
+    raise SourceError("no such file")
+
+
+def test_a_source_that_cannot_be_opened_ends_the_playback_and_is_reported() -> None:
+    with playback(absent) as playing:
+        wait_for_end(playing)
+    assert playing.failure == "no such file"

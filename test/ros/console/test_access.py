@@ -39,6 +39,7 @@ NAME = socket.gethostname().lower()
         pytest.param(LOOPBACK, ("127.0.0.1", 80), "localhost", "http", id="port 80"),
         pytest.param(LOOPBACK, HERE, "127.0.0.1", "", id="another port"),
         pytest.param(LOOPBACK, HERE, "127.0.0.1.example.com:8080", "", id="name that begins like an address"),
+        pytest.param(LOOPBACK, HERE, "[::1:8080", "", id="open bracket"),
         pytest.param(LOOPBACK, HERE, "localhost:99999999999", "", id="long port"),
         pytest.param(LOOPBACK, HERE, "localhost:8080/x", "", id="path"),
         pytest.param(LOOPBACK, HERE, "user@localhost:8080", "", id="user of this machine"),
@@ -46,6 +47,7 @@ NAME = socket.gethostname().lower()
         pytest.param(NETWORK, ("::ffff:192.0.2.7", 8080), "192.0.2.7:8080", "http", id="mapped address"),
         pytest.param(NETWORK, THERE, "192.0.2.8:8080", "", id="another address"),
         pytest.param(NETWORK, THERE, f"{NAME}.local:8080", "http", id="own name"),
+        pytest.param(NETWORK, THERE, f"{NAME}.example:8080", "", id="rebound name"),
         pytest.param(NETWORK, HERE, "robot.example", "https", id="public URL"),
         pytest.param(NETWORK, HERE, "robot.example:443", "https", id="public URL with port"),
         pytest.param(NETWORK, HERE, "robot.example:80", "", id="public URL at another port"),
@@ -141,6 +143,7 @@ def test_consoles_that_start_together_share_one_token(tmp_path: Path) -> None:
         pytest.param(TOKEN, 0o604, "others may have read", id="readable by others"),
         pytest.param(TOKEN, 0o620, "others may have read", id="writable by the group"),
         pytest.param("short", 0o600, "at least 32", id="short"),
+        pytest.param("", 0o600, "at least 32", id="empty"),
         pytest.param("two words " * 10, 0o600, "expected one token", id="several words"),
     ],
 )

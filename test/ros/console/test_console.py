@@ -190,7 +190,7 @@ def test_a_detector_that_ends_or_is_restarted_is_gone_and_comes_back(page: Page)
 
 
 class JpegPublisher:
-    """Publishes compressed images as a detector does, numbered by their stamps in seconds."""
+    """Publishes compressed images as a detector does, stamped 1.5 s, 2.5 s and so on."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._publisher = node.create_publisher(CompressedImage, topic, QoSProfile(depth=1))
@@ -205,7 +205,7 @@ class JpegPublisher:
         """The next image, of so many bytes."""
         self._count += 1
         header = Header()
-        header.stamp.sec = self._count
+        header.stamp.sec, header.stamp.nanosec = self._count, 500_000_000
         self._publisher.publish(CompressedImage(header=header, format="jpeg", data=bytes(size)))
 
 
@@ -230,9 +230,9 @@ def test_all_viewers_share_a_subscription_and_begin_with_the_newest_image(
     with console.client.viewer() as first:
         wait_for_subscribers(console, images, 1)
         images.publish(1234)
-        assert first.receive() == (1.0, bytes(1234))
+        assert first.receive() == (1.5, bytes(1234))
         with console.client.viewer() as second:
-            assert second.receive() == (1.0, bytes(1234))
+            assert second.receive() == (1.5, bytes(1234))
         assert images.subscribers == 1
 
 
@@ -243,14 +243,14 @@ def test_a_stalled_viewer_delays_nobody_and_gets_only_the_newest_image_after_its
     with console.client.viewer() as stalled, console.client.viewer() as quick:
         wait_for_subscribers(console, images, 1)
         images.publish(large)
-        assert quick.receive()[0] == 1.0
+        assert quick.receive()[0] == 1.5
         for number in range(2, 60):
             quick.take()
             images.publish(large)
-            assert quick.receive()[0] == number
-        assert stalled.receive()[0] == 1.0
+            assert quick.receive()[0] == number + 0.5
+        assert stalled.receive()[0] == 1.5
         stalled.take()
-        assert stalled.receive()[0] == 59.0
+        assert stalled.receive()[0] == 59.5
         with pytest.raises(TimeoutError):
             stalled.receive(0.1)
 
@@ -276,7 +276,7 @@ def test_of_many_nodes_each_camera_has_its_own_images_and_those_that_are_asked_f
             served.wait_for(lambda: front.subscribers == rear.subscribers == 1, "the subscriptions")
             rear.publish(7)
             front.publish(5)
-            assert (ahead.receive(), behind.receive()) == ((1.0, bytes(5)), (1.0, bytes(7)))
+            assert (ahead.receive(), behind.receive()) == ((1.5, bytes(5)), (1.5, bytes(7)))
         assert page.ask(type="transition", node=name, label="configure") == ""
         page.wait_for_state("inactive", name)
         assert page.nodes[NODE]["state"] == "unconfigured"
