@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -62,16 +63,17 @@ def test_grey_pixels_are_a_view_of_the_message_until_their_colours_are_asked_for
 JPEG = encode_jpeg(ColourImage(np.zeros((1, 1, 3), np.uint8), "rgb"))
 
 
-NO_LENS: dict[str, Any] = {"distortion_model": "", "d": ()}
-
-
 @pytest.mark.parametrize(
     ("read", "fields"),
     [
         pytest.param(raw_image, {"encoding": "mono8", "data": b"\0", "step": 1}, id="raw"),
         pytest.param(compressed_image, {"format": "", "data": JPEG}, id="compressed"),
         pytest.param(depth_image_of_message, {"encoding": "16UC1", "data": b"\0\0", "step": 2}, id="depth"),
-        pytest.param(intrinsics_of_message, {"k": [1.0] * 9, "p": [1.0] * 12, **NO_LENS}, id="camera_info"),
+        pytest.param(
+            partial(intrinsics_of_message, is_rectified=False),
+            {"k": [1.0] * 9, "p": [1.0] * 12, "d": (), "distortion_model": ""},
+            id="camera_info",
+        ),
     ],
 )
 def test_a_message_with_a_long_frame_id_is_refused_before_anything_else_is_read(

@@ -151,16 +151,16 @@ def test_what_a_lens_cannot_see_has_no_ray(camera: Intrinsics, widest: float) ->
 )
 def test_values_of_no_camera_are_refused(k: list[float], p: list[float]) -> None:
     with pytest.raises(ImageError, match=r"fx and fy of 0.1 to 1e\+07 pixels .* found fx .* Calibrate"):
-        intrinsics_of_message(message(k, p))
+        intrinsics_of_message(message(k, p), is_rectified=True)
 
 
 @pytest.mark.parametrize(("k", "p"), [([], P), (K, []), (K[:8], P)], ids=["no K", "no P", "short K"])
 def test_matrices_of_another_size_are_refused(k: list[float], p: list[float]) -> None:
     with pytest.raises(ImageError, match="K of 9 and P of 12 values, found"):
-        intrinsics_of_message(message(k, p))
+        intrinsics_of_message(message(k, p), is_rectified=True)
 
 
 @pytest.mark.parametrize("size_hw", [(0, 640), (480, 0), (480, 16385)])
 def test_a_size_of_no_image_is_refused(size_hw: tuple[int, int]) -> None:
     with pytest.raises(ImageError, match="1 to 16384 pixels"):
-        intrinsics_of_message(message(K, P, size_hw))
+        intrinsics_of_message(message(K, P, size_hw), is_rectified=True)

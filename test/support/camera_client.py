@@ -154,6 +154,8 @@ class DepthClient(CameraClient):
         super().__init__(served, name, size_hw=size_hw)
         self.placed: list[Detection3DArray] = []
         self.depth_m = np.full(size_hw, wall_m, np.float32)
+        self.lens: dict[str, Any] = {}
+        """Other fields of its camera_info."""
         node, best_effort = served.client, QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.depth = node.create_publisher(Image, self.topic("depth/image_raw"), best_effort)
         self.info = node.create_publisher(CameraInfo, self.topic("depth/camera_info"), 2)
@@ -171,7 +173,7 @@ class DepthClient(CameraClient):
     def send_depth(self, *, with_info: bool = True) -> None:
         """Send a depth image and its camera_info with the stamp of the next image."""
         height, width = self.size_hw
-        info = camera_info_message(self.sent + 1, height=height, width=width)
+        info = camera_info_message(self.sent + 1, height=height, width=width, **self.lens)
         message = depth_message(self.depth_m, self.sent + 1)
         for sent in (info, message):
             sent.header.frame_id = f"{self.name}_optical"

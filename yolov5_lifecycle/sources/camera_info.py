@@ -12,9 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.input_file import RegularFileError, read_regular_file, resolve_package
 from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.spatial.camera_model import COEFFICIENTS
 
 MAX_FILE_BYTES = 64 * 1024
-_COEFFICIENTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
 _NUMBERS = (("camera_matrix", (9,)), ("rectification_matrix", (9,)), ("projection_matrix", (12,)))
 _FILE, _PACKAGE = "file://", "package://"
 
@@ -45,7 +45,7 @@ class CameraInfoValues(BaseModel):
     @model_validator(mode="after")
     def _is_of_a_calibrated_camera(self) -> CameraInfoValues:
         problems = []
-        for name, counts in (*_NUMBERS, ("distortion_coefficients", _COEFFICIENTS[self.distortion_model])):
+        for name, counts in (*_NUMBERS, ("distortion_coefficients", COEFFICIENTS[self.distortion_model])):
             if (found := len(getattr(self, name).data)) not in counts:
                 problems.append(f"{name}: expected {' or '.join(map(str, counts))} numbers, found {found}")
         if min(self.camera_matrix.data[:5:4], default=0.0) <= 0:

@@ -115,7 +115,7 @@ class Intrinsics:
         return x, y
 
 
-def intrinsics_of_message(camera_info: Any, *, is_rectified: bool = True) -> Intrinsics:
+def intrinsics_of_message(camera_info: Any, *, is_rectified: bool) -> Intrinsics:
     """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
 
     P counts where it is filled in, the camera of the rectified image, else K. Of an image that is not

@@ -129,8 +129,12 @@ def test_an_image_whose_detections_have_no_place_is_counted_with_the_reason(
     assert re.search(told, depth.run.reason)
 
 
-@pytest.mark.parametrize("frames", [("", "camera"), ("camera", "")], ids=["colour", "depth"])
-def test_a_camera_that_names_no_frame_has_that_of_the_other(
+@pytest.mark.parametrize(
+    "frames",
+    [("", "camera"), ("camera", ""), ("/camera", "camera")],
+    ids=["only depth", "only colour", "as tf1 wrote it"],
+)
+def test_frames_are_equal_where_one_is_missing_or_written_in_another_way(
     depth: DepthInput, frames: tuple[str, str]
 ) -> None:
     colour_frame, depth_frame = frames
@@ -226,6 +230,21 @@ def test_detections_are_placed_and_an_image_without_objects_has_an_empty_array(
     assert int(values["images with depth"]) >= 1
     prepare.running.run = lambda: np.zeros((1, 7), np.float32)
     assert client.place().detections == []
+
+
+def test_detections_of_images_that_nobody_has_rectified_are_placed_through_the_lens(
+    client: DepthClient,
+) -> None:
+    begin(client)
+    (plain,) = client.place().detections
+    client.lens = {"distortion_model": "plumb_bob", "d": [-0.2, 0.0, 0.0, 0.0]}
+    client.send_depth()
+    client.served.wait_for(lambda: client.served.values()["depth lens"] == "plumb_bob", "the lens")
+    (seen,) = client.place().detections
+    assert seen.bbox.size.x > 1.05 * plain.bbox.size.x, "a barrel lens shows it smaller than it is"
+    client.lens = {"distortion_model": "division", "d": [0.1]}
+    client.send_depth()
+    client.served.wait_for(lambda: client.served.status().message.find("'division'") >= 0, "the refusal")
 
 
 def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(

@@ -20,10 +20,7 @@ from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.messages import stamp_ns
 from yolov5_lifecycle.ros.topics import DEPTH_IMAGE_RAW, full_name, of_camera
 from yolov5_lifecycle.spatial.camera_model import Intrinsics, intrinsics_of_message
-from yolov5_lifecycle.spatial.depth_image import (
-    DepthImage,
-    depth_image_of_message,
-)
+from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
 
@@ -189,7 +186,8 @@ class DepthInput:
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
             self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
             return None
-        if frame_id and header.frame_id and frame_id != header.frame_id:
+        frames = {frame_id.lstrip("/"), header.frame_id.lstrip("/")} - {""}  # tf's names began with / once
+        if len(frames) > 1:
             self._count_unplaced(count, Unplaced.OTHER_CAMERA, _of_another_camera(header.frame_id, frame_id))
             return None
         placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
