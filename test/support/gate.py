@@ -11,7 +11,7 @@ Result = TypeVar("Result")
 
 
 class Gate:
-    """Holds whoever comes while it is closed; `reached` tells that somebody came since it was closed."""
+    """Holds every caller while it is closed; `reached` tells that one arrived since it was closed."""
 
     def __init__(self, *, is_open: bool = False) -> None:
         self.reached = threading.Event()

@@ -54,7 +54,9 @@ def test_what_was_made_from_something_else_is_not_replaced(drives: Path, tmp_pat
     assert {path: path.read_bytes() for path in east.iterdir()} == before
 
 
-def test_a_summary_of_somebody_else_is_not_replaced(drives: Path, tmp_path: Path, refused: Refused) -> None:
+def test_the_summary_of_another_program_is_not_replaced(
+    drives: Path, tmp_path: Path, refused: Refused
+) -> None:
     (tmp_path / "summary.json").touch()
     told = f"{tmp_path / 'summary.json'} is not a summary of detect_bag: move it, or choose another --output."
     assert told in refused(main, drives, "--output", tmp_path, *SET_MODEL)
