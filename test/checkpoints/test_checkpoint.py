@@ -21,12 +21,14 @@ from support.checkpoint_builder import (
     layers_of,
     modules_of,
     official_model,
+    pickled_method,
     saved,
     stripped,
 )
 from support.hostile_archives import pickle_of
 from support.random_model import CLASS_NAMES, TINY, random_network
 from support.small_families import SMALL_FAMILIES
+from support.wrong_models import MODELS
 from torch.nn.utils import prune
 
 from yolov5_lifecycle.checkpoints import pt_file as checkpoint
@@ -124,6 +126,12 @@ def count_by_thop(model: Any) -> None:
         pytest.param(lambda model: vars(head(model)).update(inplace=False), id="head not in place"),
         pytest.param(synchronize, id="synchronized normalisation"),
         pytest.param(count_by_thop, id="counted by thop"),
+        pytest.param(
+            lambda model: vars(head(model)).update(
+                detect=pickled_method(type(foreign("yolov5.models.yolo.Detect")), "forward")
+            ),
+            id="a method of the package yolov5",
+        ),
     ],
 )
 def test_what_leaves_the_result_alone_is_accepted(change: Callable[[Any], object]) -> None:
@@ -144,6 +152,13 @@ def assert_same(found: Model, expected: Model) -> None:
     assert (found.architecture, found.class_names) == (expected.architecture, expected.class_names)
     assert found.state_dict.keys() == expected.state_dict.keys()
     assert all(torch.equal(found.state_dict[key], each) for key, each in expected.state_dict.items())
+
+
+@pytest.mark.parametrize(("make", "message"), MODELS.values(), ids=MODELS)
+def test_a_model_that_cannot_be_used_is_refused(make: Callable[[], bytes], message: str) -> None:
+    with pytest.raises(WeightsError) as refused:
+        read_checkpoint(make())
+    assert message in str(refused.value)
 
 
 @pytest.mark.long
@@ -178,6 +193,7 @@ def training_checkpoint(*, ema: Any) -> dict[str, Any]:
         "date": datetime.datetime(2024, 1, 2, 3, 4, 5),
         "hyp": foreign("utils.general.Options", epochs=300),
         "wandb_id": None,
+        "tags": {"night", 7},
     }
 
 

@@ -11,6 +11,7 @@ from safetensors.torch import save
 from support.checkpoint_builder import SMALL
 from support.hostile_safetensors import parted
 from support.random_model import CLASS_NAMES, random_model, random_network
+from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_LEVELS
@@ -65,6 +66,12 @@ def test_a_model_of_one_level_and_one_of_the_most_come_back(levels: int, tmp_pat
     assert read_safetensors(path.read_bytes()).architecture == architecture
 
 
+def test_activations_that_differ_from_layer_to_layer_come_back(tmp_path: Path) -> None:
+    architecture = SMALL_FAMILIES["convolutions"]
+    write_safetensors(random_model(0, architecture), tmp_path / "a.safetensors")
+    assert read_safetensors((tmp_path / "a.safetensors").read_bytes()).architecture == architecture
+
+
 def test_equal_models_make_equal_files(written: bytes, tmp_path: Path) -> None:
     write_safetensors(small_model(), tmp_path / "again.safetensors")
     assert (tmp_path / "again.safetensors").read_bytes() == written
@@ -82,9 +89,10 @@ def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     [
         pytest.param(torch.zeros(8, dtype=torch.int64), "holds torch.int64", id="integers"),
         pytest.param(torch.full((8,), 1e300, dtype=torch.float64), "not finite", id="too large for float32"),
+        pytest.param(torch.full((8,), -1.0), "negative variances", id="negative"),
     ],
 )
-def test_numbers_that_are_no_float32_are_refused(
+def test_numbers_that_no_training_leaves_are_refused(
     variances: torch.Tensor, message: str, written: bytes
 ) -> None:
     tensors = {**small_model().state_dict, VARIANCES: variances}

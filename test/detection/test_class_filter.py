@@ -65,6 +65,8 @@ def test_unknown_entries_that_are_not_explained_are_counted() -> None:
         class_ids([f"xyz{number}" for number in range(MAX_EXPLAINED + 1)], ["person"])
     explained = [f"'xyz{number}' is not a class of the model (person)." for number in range(MAX_EXPLAINED)]
     assert str(refusal.value) == f"{' '.join(explained)} 1 more entries are not classes of the model either."
+    with pytest.raises(ValueError, match=r"the model \(person\)\.$"):
+        class_ids([f"xyz{number}" for number in range(MAX_EXPLAINED)], ["person"])
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,12 @@ def test_the_whole_label_is_inside_wherever_the_box_is(box_xyxy: tuple[float, ..
     assert ink_of_class_1(drawn) == ink_of_class_1(in_the_middle)
 
 
+def test_a_label_has_the_same_margin_on_both_sides() -> None:
+    drawn = annotate(grey_image(0, 300, 400), one(150, 150, 152, 152, class_id=1), NAMES)[:149]
+    (_, label), (_, ink) = np.nonzero(drawn.any(axis=2)), np.nonzero(drawn[..., 0] > 100)
+    assert label.max() - ink.max() == pytest.approx(ink.min() - label.min(), abs=1)
+
+
 def test_the_id_of_a_track_stands_in_the_label() -> None:
     plain, unconfirmed, tracked = (
         ink_of_class_1(
@@ -232,6 +238,11 @@ def test_the_outline_of_a_region_is_visible_on_any_ground_and_faint(level: int) 
     assert 40 < np.abs(pixels - level).max() <= 128
     inside = pixels[SIDE // 3 : 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]
     assert (inside == level).all()
+
+
+def test_the_outline_of_the_whole_image_is_on_its_edges() -> None:
+    pixels = drawn(grey_image(0, SIDE, SIDE), BoxFilter(regions=(WHOLE,)))
+    assert all(np.median(edge) > 100 for edge in (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]))
 
 
 def test_ignored_regions_are_dark_also_where_they_overlap() -> None:

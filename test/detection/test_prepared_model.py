@@ -71,9 +71,11 @@ def test_a_model_that_would_take_the_memory_is_refused_without_taking_it(
     assert peak_resident_mb(os.getpid()) - before_mb < MAX_GROWN_MB
 
 
+@pytest.mark.parametrize("loads", [0, 1], ids=["before it is loaded", "when it is"])
 def test_a_model_for_which_the_memory_does_not_suffice_is_refused(
-    tiny: Settings, monkeypatch: pytest.MonkeyPatch
+    tiny: Settings, monkeypatch: pytest.MonkeyPatch, loads: int
 ) -> None:
-    monkeypatch.setattr(models_cost, "available_bytes", lambda: 1_000_000)
-    with pytest.raises(ValueError, match=r"^Image size 64: the model needs .* but only 1 MB are available"):
+    available = iter([10**12] * loads + [1_000])
+    monkeypatch.setattr(models_cost, "available_bytes", lambda: next(available))
+    with pytest.raises(ValueError, match=r"^Image size 64: the model needs .* but only 0 MB are available"):
         prepare_model(tiny, [(64, 64)])

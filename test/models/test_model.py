@@ -16,6 +16,7 @@ from yolov5_lifecycle.models.model import (
     check_class_names,
     checked_integer,
     checked_model,
+    first_line,
     shown,
 )
 
@@ -24,6 +25,8 @@ def test_a_model_shares_no_memory_with_what_it_was_made_of() -> None:
     tensors = dict(random_network(0, SMALL).state_dict())
     both = torch.ones(2, 8)
     tensors["model.0.bn.weight"], tensors["model.0.bn.bias"] = both
+    weight = "model.0.conv.weight"
+    tensors[weight] = tensors[weight].contiguous(memory_format=torch.channels_last)
     model = checked_model(SMALL, CLASS_NAMES, tensors)
     for tensor in tensors.values():
         tensor.zero_()
@@ -81,6 +84,10 @@ def test_names_that_do_not_fit_are_refused(names: object, message: str) -> None:
 def test_anything_but_an_integer_in_range_is_refused(value: object) -> None:
     with pytest.raises(WeightsError, match="the size: expected an integer from 1 to 8, found"):
         checked_integer(value, "the size", 1, 8)
+
+
+def test_of_an_error_of_several_lines_the_first_is_told() -> None:
+    assert first_line(ValueError("no such thing\n  at line 3")) == "ValueError: no such thing"
 
 
 def doubled(levels: int) -> object:

@@ -12,7 +12,7 @@ from support.random_model import random_network
 from torch import nn
 
 from yolov5_lifecycle.models.architecture import SIZES
-from yolov5_lifecycle.models.blocks import SPP
+from yolov5_lifecycle.models.blocks import SPP, SPPF, C3x, CrossConv
 from yolov5_lifecycle.models.convolutions import Focus
 from yolov5_lifecycle.models.network import Network, fuse
 
@@ -62,6 +62,13 @@ def test_pooling_with_small_windows_one_after_the_other_is_pooling_with_every_wi
         narrow = spp.cv1(pixels)
         expected = spp.cv2(torch.cat([narrow, *(pool(narrow) for pool in spp.m.children())], dim=1))
         assert torch.equal(spp(pixels), expected)
+    assert SPPF(8, 4, 3).steps == (3, 3, 3), "the same small window each time"
+
+
+@pytest.mark.parametrize("shortcut", [True, False])
+def test_crossed_convolutions_add_their_input_if_they_are_told_to(shortcut: bool) -> None:
+    parts = [part for part in C3x(8, 8, 2, shortcut).modules() if isinstance(part, CrossConv)]
+    assert [part.add for part in parts] == [shortcut] * 2
 
 
 def test_predictions_of_half_layers_are_decoded_in_full_precision() -> None:

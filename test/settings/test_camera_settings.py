@@ -114,6 +114,7 @@ def test_the_digest_covers_overrides_in_any_order() -> None:
         pytest.param({"front.max_rte": 1.0}, "front.max_rte: .*Did you mean 'front.max_rate'", id="setting"),
         pytest.param({"frnt.max_rate": 1.0}, "frnt.max_rate: .*Did you mean 'front.max_rate'", id="camera"),
         pytest.param({"front.imgsz": 320}, "there is no such parameter\\.$", id="of-the-node-elsewhere"),
+        pytest.param({"imgsz": 320}, "imgsz: .*Did you mean 'image_size'", id="of-the-node"),
         pytest.param({"front.weights": "x"}, "weights is a setting of the node, the same for all", id="node"),
         pytest.param({"side.lazy": True}, "add the camera to cameras, which has front, rear", id="absent"),
         pytest.param({".lazy": True}, ".lazy: there is no such parameter", id="nameless"),

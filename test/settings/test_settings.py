@@ -28,6 +28,7 @@ from yolov5_lifecycle.settings.synonyms import NOT_SETTINGS, SYNONYMS
         pytest.param({"classes": ("a", 3)}, "['a', 3] is not a list of at most", id="number-among-classes"),
         pytest.param({"autostart": "yes"}, "restart the node with another value", id="read-only"),
         pytest.param({"classes": "[2, square]"}, 'Did you mean ["2", square]?', id="index-and-name"),
+        pytest.param({"classes": "[zebra é]"}, 'Did you mean ["zebra é"]?', id="name-with-accent"),
         pytest.param({"classes": ("a",) * 10_001}, "a list of at most 10000 strings", id="huge-list"),
         pytest.param({"classes": ("cat", "x" * 201)}, "of at most 200 characters", id="long-class"),
         pytest.param(
@@ -107,8 +108,9 @@ def test_an_option_that_is_no_parameter_is_answered_with_its_replacement() -> No
     ],
 )
 def test_settings_that_contradict_each_other_are_refused(values: dict[str, object], problem: str) -> None:
-    with pytest.raises(SettingsError, match=problem):
+    with pytest.raises(SettingsError, match=problem) as refusal:
         validated(values)
+    assert refusal.value.problems[0].setting in values
 
 
 def test_a_tracker_without_scipy_is_refused_with_the_remedy() -> None:

@@ -87,9 +87,11 @@ def test_any_bytes_are_metres_in_range_or_nan(data: bytes, is_bigendian: bool) -
     assert ((valid >= MIN_DEPTH_M * 0.999) & (valid <= MAX_DEPTH_M)).all()
 
 
-def test_outside_the_image_there_is_no_measurement() -> None:
+def test_every_pixel_is_measured_and_none_outside_the_image() -> None:
     rows, columns = np.array([(-1, 0), (2, 0), (0, -1), (0, 3), (-(10**12), 10**12)]).T
-    assert np.isnan(decoded(b"\x01\x01" * 6).metres_at(rows, columns)).all()
+    depth = decoded(b"\x01\x01" * 6)
+    assert np.isnan(depth.metres_at(rows, columns)).all()
+    assert not np.isnan(all_metres(depth)).any()
 
 
 def test_the_image_is_a_read_only_view_of_the_message() -> None:

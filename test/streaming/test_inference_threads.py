@@ -40,7 +40,7 @@ def test_frames_of_all_cameras_are_detected_and_published_in_order_by_one_thread
         line.feed(number)
         line.other.feed(number)
     assert line.published == line.other.published == [1, 2, 3]
-    assert len({*line.threads, *line.other.threads}) == 1
+    assert len({*line.threads, *line.other.threads}) == len(line.inference._threads) == 1
     assert line.counts() == {Outcome.DETECTED: 3}
 
 

@@ -145,6 +145,10 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
         anchors([[[0.0, 0.25], [0.5, 0.75]], [[0.0, 0.125], [0.25, 0.375]]]),
         "was never trained: its anchors are still the placeholders",
     ),
+    "empty first layer": (
+        changed(lambda model: vars(layers_of(model)["0"])["_modules"].clear()),
+        "the module model.0.conv is missing",
+    ),
     "YOLOv7": (renamed("8", "models.yolo.IDetect"), "another project, named YOLOv7"),
     "unknown head": (renamed("8", "models.custom.MyHead"), "'MyHead', not supported"),
     "unknown block": (renamed("2", "models.custom.MyBlock"), "is a 'MyBlock', expected C3"),

@@ -141,7 +141,7 @@ def _groups(places: NDArray[np.intp]) -> Array:
 def _triples() -> Array:
     """(trials, 3) places on the way around a box, in [0, 1): three of one arc, because a plane fills arcs."""
     trial = np.arange(_TRIALS)
-    start, share = trial * 0.618 % 1, 0.35 + 0.3 * (trial * 0.755 % 1)
+    start, share = trial * 0.618, 0.35 + 0.3 * (trial * 0.755 % 1)
     arc = np.take((0.35, 0.5, 0.75), trial % 3)
     return (np.stack((start, start + share * arc, start + arc), axis=1) % 1).astype(np.float32)
 

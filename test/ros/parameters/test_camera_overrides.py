@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,7 @@ def test_an_override_is_described_like_its_setting(served: ServedNode) -> None:
         assert of_camera.name == f"front.{plain.name}"
         assert of_camera.description.startswith(plain.description)
         assert "front" in of_camera.description
+        assert f"; default {json.dumps(DEFAULTS[plain.name])}; " in plain.additional_constraints
         for field in ("type", "additional_constraints", "floating_point_range", "integer_range"):
             assert getattr(of_camera, field) == getattr(plain, field)
 
