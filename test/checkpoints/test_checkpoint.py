@@ -25,7 +25,7 @@ from support.checkpoint_builder import (
     saved,
     stripped,
 )
-from support.hostile_archives import pickle_of
+from support.hostile_archives import ARCHIVES, pickle_of
 from support.random_model import CLASS_NAMES, TINY, random_network
 from support.small_families import SMALL_FAMILIES
 from support.wrong_models import MODELS
@@ -45,6 +45,7 @@ TINY_N6 = dataclasses.replace(SIZES["n6"], width_multiple=0.125, classes=3)
 
 FIRST = "model.0.conv.weight"
 SEGMENTATION = SMALL_FAMILIES["segmentation"]
+WRONG = {**ARCHIVES, **MODELS}
 
 
 def read(architecture: Architecture = SMALL, **options: Any) -> Model:
@@ -154,8 +155,8 @@ def assert_same(found: Model, expected: Model) -> None:
     assert all(torch.equal(found.state_dict[key], each) for key, each in expected.state_dict.items())
 
 
-@pytest.mark.parametrize(("make", "message"), MODELS.values(), ids=MODELS)
-def test_a_model_that_cannot_be_used_is_refused(make: Callable[[], bytes], message: str) -> None:
+@pytest.mark.parametrize(("make", "message"), WRONG.values(), ids=WRONG)
+def test_a_file_that_cannot_be_used_is_refused(make: Callable[[], bytes], message: str) -> None:
     with pytest.raises(WeightsError) as refused:
         read_checkpoint(make())
     assert message in str(refused.value)
