@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
 from benchmark.report import Figures, Program, Row, row, timed
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
@@ -27,6 +28,7 @@ SCENES = {
     "sloped background": Difficulty(),
     "30 % holes": Difficulty(hole_share=0.3),
     "half occluded": Difficulty(hole_share=0.3, is_half_occluded=True),
+    "half occluded, box as seen": Difficulty(0.3, is_half_occluded=True, is_box_of_visible=True),
     "on a floor": Difficulty(hole_share=0.3, stands_on_floor=True),
     "in a row": Difficulty(hole_share=0.3, has_neighbours=True),
 }
@@ -36,6 +38,21 @@ FLOOR_SCENES: dict[str, dict[str, Any]] = {
     "as measured, others nearby": {"has_company": True},
     **{f"ideal depth, {lens}": {"is_ideal": True, "camera": camera} for lens, camera in LENSES.items()},
 }
+KNOWN: dict[str, Callable[[DepthScene], Masks | None]] = {
+    "box": lambda _: None,
+    "mask": DepthScene.masks,
+    "mask 2 pixels aside": lambda scene: scene.masks(aside_px=2),
+    "mask in cells of 4 pixels": lambda scene: scene.masks(cell_px=4),
+}
+"""What is known of an object."""
+GROUPS: dict[str, Callable[[DepthScene], bool]] = {
+    "all": lambda _: True,
+    "up to 1.5 m": lambda scene: scene.range_m <= 1.5,
+    "1.5 to 3 m": lambda scene: 1.5 < scene.range_m <= 3,
+    "3 to 7 m": lambda scene: scene.range_m > 3,
+    "nothing hidden": lambda scene: scene.hidden_share == 0,
+    "up to 30 % hidden": lambda scene: scene.hidden_share > 0,
+}
 COSTS = ((1, (480, 640)), (20, (480, 640)), (20, (720, 1280)), (1000, (480, 640)), (1000, (12288, 16384)))
 """Boxes and image sizes."""
 
@@ -43,21 +60,22 @@ MIN_SIZE_M = 0.02
 """Errors of smaller sizes are in parts of this."""
 
 
-def placed(scene: DepthScene) -> Placement:
+def placed(scene: DepthScene, masks: Masks | None) -> Placement:
     """Where this package finds the object."""
-    (found,) = place(scene.box_xyxy[None], CAMERA.size_hw, DepthImage(scene.depth_m, 1.0), scene.camera)
+    depth = DepthImage(scene.depth_m, 1.0)
+    (found,) = place(scene.box_xyxy[None], CAMERA.size_hw, depth, scene.camera, masks)
     return found
 
 
-def depth_error(scene: DepthScene) -> float:
+def depth_error(scene: DepthScene, masks: Masks | None) -> float:
     """Of the middle of the object's surface, in percent; 100 for an object that is not found."""
-    found, truth_m = placed(scene), float(scene.centre_xyz_m[2])
+    found, truth_m = placed(scene, masks), float(scene.centre_xyz_m[2])
     return 100 * abs(found.centre_xyz_m[2] - truth_m) / truth_m if isinstance(found, Box3D) else 100.0
 
 
-def floor_errors(scene: DepthScene) -> tuple[float, float]:
+def floor_errors(scene: DepthScene, masks: Masks | None) -> tuple[float, float]:
     """Errors of the centre, in percent of the range, and of the size along z, in percent of the true size."""
-    found = placed(scene)
+    found = placed(scene, masks)
     if not isinstance(found, Box3D):
         return 100.0, 100.0
     centre = np.linalg.norm(np.subtract(found.centre_xyz_m, scene.centre_xyz_m)) / scene.range_m
@@ -65,29 +83,38 @@ def floor_errors(scene: DepthScene) -> tuple[float, float]:
     return 100 * float(centre), 100 * abs(found.size_xyz_m[2] - true_m) / true_m
 
 
+def _rng(seed: int, *of_rows: str) -> np.random.Generator:
+    """Own random numbers for each kind of scene, so that another kind changes no figure."""
+    return np.random.default_rng([seed, *"".join(of_rows).encode()])
+
+
 def error_rows(count: int, seed: int) -> Iterator[Row]:
     """Of the depth, in percent."""
-    rng = np.random.default_rng(seed)
     for kind in ("solid", "thin"):
         shapes = [shape for shape in SHAPES if (shape in THIN) == (kind == "thin")]
         for name, difficulty in SCENES.items():
+            rng = _rng(seed, kind, name)
             scenes = [random_depth_scene(rng, shape, difficulty) for shape in shapes for _ in range(count)]
-            yield row(kind, name, 0, [depth_error(scene) for scene in scenes], unit="%")
+            for known, masks_of in KNOWN.items():
+                errors = [depth_error(scene, masks_of(scene)) for scene in scenes]
+                yield row(f"{kind}, {known}", name, 0, errors, unit="%")
 
 
 def floor_rows(count: int, seed: int) -> Iterator[Row]:
     """Of the centre, in percent of the range, and of the size along z, in percent of the true one."""
-    rng = np.random.default_rng(seed)
     for name, options in FLOOR_SCENES.items():
-        of_kinds: dict[str, list[tuple[float, float]]] = {
-            kind: [floor_errors(random_floor_scene(rng, kind, **options)) for _ in range(3 * count)]
-            for kind in KINDS
+        rng = _rng(seed, name)
+        groups = {
+            kind: [random_floor_scene(rng, kind, **options) for _ in range(3 * count)] for kind in KINDS
         }
-        of_kinds["all"] = [both for found in of_kinds.values() for both in found]
-        for kind, found in of_kinds.items():
-            centres, sizes = zip(*found, strict=True)
-            yield row(f"floor, {name}", f"{kind}: centre", 0, centres, unit="%")
-            yield row(f"floor, {name}", f"{kind}: size along z", 0, sizes, unit="%")
+        scenes = [scene for of_kind in groups.values() for scene in of_kind]
+        groups |= {group: found for group, is_in in GROUPS.items() if (found := [*filter(is_in, scenes)])}
+        for known, masks_of in KNOWN.items():
+            for group, found in groups.items():
+                errors = [floor_errors(scene, masks_of(scene)) for scene in found]
+                centres, sizes = zip(*errors, strict=True)
+                yield row(f"floor, {name}, {known}", f"{group}: centre", 0, centres, unit="%")
+                yield row(f"floor, {name}, {known}", f"{group}: size along z", 0, sizes, unit="%")
 
 
 def cost_rows() -> Iterator[Row]:
@@ -97,9 +124,14 @@ def cost_rows() -> Iterator[Row]:
         depth = DepthImage(rng.integers(500, 8000, (height, width)).astype(np.uint16), 0.001)
         camera = Intrinsics(CAMERA.fx, CAMERA.fy, width / 2, height / 2, (height, width))
         ends = np.sort(rng.uniform(0, 1, (count, 2, 2)), axis=1) * (width, height)
-        call = partial(place, ends.reshape(count, 4).astype(np.float32), (height, width), depth, camera)
-        times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
-        yield row("CPU time", f"{count} boxes, {width}x{height}", 0, times_ms, unit="ms of a core")
+        boxes_xyxy = ends.reshape(count, 4).astype(np.float32)
+        network = rng.normal(size=(32, 96, 160)).astype(np.float32), rng.normal(size=(count, 32))
+        masks = Masks(network[0], network[1].astype(np.float32), (height, width))
+        for known, given in (("", None), (" with masks", masks)):
+            call = partial(place, boxes_xyxy, (height, width), depth, camera, given)
+            times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
+            name = f"{count} boxes{known}, {width}x{height}"
+            yield row("CPU time", name, 0, times_ms, unit="ms of a core")
 
 
 def measured(options: argparse.Namespace, _: Path) -> Figures:

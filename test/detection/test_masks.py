@@ -94,6 +94,16 @@ def test_a_part_of_a_mask_is_that_of_the_whole(size_hw: tuple[int, int], cells_h
         assert not (differs & ~unsure).any()
 
 
+def test_a_mask_at_any_pixels_is_that_of_the_whole_and_goes_on_beside_the_box_and_the_image() -> None:
+    masks, _ = random_masks(6, (72, 100), (46, 64))
+    everywhere = floats((0, 0, 100, 72))
+    rows, columns = np.array([71, 3, 3, 40]), np.array([99, 0, 57])
+    beyond = masks.at(2, np.where(rows == 71, 160, rows), np.where(columns == 0, -9, columns))
+    np.testing.assert_array_equal(beyond, masks.at(2, rows, columns))
+    np.testing.assert_array_equal(beyond, whole_mask(masks, 2, everywhere)[np.ix_(rows, columns)])
+    assert 0 < beyond.mean() < 1
+
+
 def test_labels_number_the_detections_and_the_better_one_covers_the_others() -> None:
     masks, boxes_xyxy = random_masks(4, (60, 80), (30, 40))
     labels = masks.label_image(boxes_xyxy)

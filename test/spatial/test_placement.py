@@ -26,6 +26,7 @@ from support.depth_scene import (
 from support.floor_scene import View, random_floor_scene, rendered, room
 from support.solids import KINDS, Cuboid
 
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
@@ -48,14 +49,14 @@ def in_metres(depth_m: NDArray[np.float32]) -> DepthImage:
     return DepthImage(depth_m, 1.0)
 
 
-def placed(scene: DepthScene) -> Placement:
-    (placement,) = place(scene.box_xyxy[None], SIZE_HW, in_metres(scene.depth_m), scene.camera)
+def placed(scene: DepthScene, masks: Masks | None = None) -> Placement:
+    (placement,) = place(scene.box_xyxy[None], SIZE_HW, in_metres(scene.depth_m), scene.camera, masks)
     return placement
 
 
-def error_of(scene: DepthScene) -> float:
+def error_of(scene: DepthScene, masks: Masks | None = None) -> float:
     """Distance of the found from the true centre in parts of the range; 1 for an object that is not found."""
-    found = placed(scene)
+    found = placed(scene, masks)
     if isinstance(found, Unplaced):
         return 1.0
     return math.dist(found.centre_xyz_m, scene.centre_xyz_m.tolist()) / scene.range_m
@@ -105,6 +106,17 @@ def test_through_a_lens_the_median_error_of_the_centre_is_at_most_2_percent_of_t
     rng = np.random.default_rng(24)
     scenes = [random_floor_scene(rng, kind, is_ideal=True, camera=LENSES[lens]) for kind in [*KINDS] * 4]
     assert np.median([error_of(scene) for scene in scenes]) <= 0.02
+
+
+@pytest.mark.parametrize("aside_px", [0, 2], ids=["exact", "two pixels aside"])
+def test_with_its_mask_95_of_100_thin_objects_in_a_row_are_at_most_3_percent_of_the_range_away(
+    aside_px: int,
+) -> None:
+    rng = np.random.default_rng(14)
+    in_a_row = Difficulty(hole_share=0.3, has_neighbours=True)
+    scenes = [random_depth_scene(rng, shape, in_a_row) for shape in THIN * SCENES_PER_SHAPE]
+    assert np.quantile([error_of(scene, scene.masks(aside_px)) for scene in scenes], 0.95) <= 0.03
+    assert np.quantile([error_of(scene) for scene in scenes], 0.95) > 0.3, "which boxes do not tell"
 
 
 @pytest.mark.parametrize("height_m", [0.8, 1.6])
@@ -219,6 +231,21 @@ def test_any_values_and_boxes_give_finite_numbers_or_a_reason(data: bytes, boxes
         if isinstance(found, Box3D):
             assert np.isfinite((found.centre_xyz_m, found.size_xyz_m)).all()
             assert min(found.size_xyz_m) >= 0
+
+
+def test_each_of_many_boxes_has_its_own_mask() -> None:
+    """All boxes are alike; one half shows something nearer, and every third mask has it."""
+    depth_m = board_before_wall()
+    depth_m[80:140, 100:140] = 1
+    is_near = np.zeros(SIZE_HW, np.bool_)
+    is_near[:, :140] = True
+    prototypes = np.where(is_near, 9, -9).astype(np.float32)[None]
+    coefficients = np.resize(np.array((1, -1, -1), np.float32), (2 * MAX_BOXES_AT_ONCE + 3, 1))
+    boxes_xyxy = np.repeat(BOX, len(coefficients), axis=0)
+    masks = Masks(prototypes, coefficients, SIZE_HW)
+    found = place(boxes_xyxy, SIZE_HW, in_metres(depth_m), CAMERA, masks)
+    depths_m = [one.centre_xyz_m[2] for one in found if isinstance(one, Box3D)]
+    assert depths_m == pytest.approx(np.where(coefficients[:, 0] > 0, 1, 2).tolist())
 
 
 def test_a_thousand_boxes_on_the_widest_image_are_placed() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.depth_scene import CAMERA
+from support.depth_scene import CAMERA, one_mask
 
 from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, is_background, sampled
 from yolov5_lifecycle.spatial.camera_model import Distortion
@@ -22,11 +22,17 @@ BOX = np.array([[30, 30, 50, 50]], np.float32)
 IN_BOX = slice(30, 50), slice(30, 50)
 
 
-def surface(inside: Depth | list[list[float]], around: float | Depth) -> NDArray[np.float32]:
-    """The surface (SIDE, SIDE) of a box that holds the rows `inside`, in a depth image of `around`."""
+def surface(
+    inside: Depth | list[list[float]], around: float | Depth, mask: NDArray[np.bool_] | None = None
+) -> NDArray[np.float32]:
+    """The surface (SIDE, SIDE) of a box that holds the rows `inside`, in a depth image of `around`.
+
+    With a `mask` (SIDE, SIDE), of the object with these samples.
+    """
     depth_m = np.full((80, 80), around, np.float32)
     depth_m[IN_BOX] = np.broadcast_to(inside, (SIDE, SIDE))
-    return np.asarray(surfaces_m(DepthImage(depth_m, 1.0), BOX, CAMERA)[0])
+    masks = None if mask is None else one_mask(np.pad(mask, 30))
+    return np.asarray(surfaces_m(DepthImage(depth_m, 1.0), BOX, CAMERA, masks)[0])
 
 
 def rows(*parts: tuple[int, float]) -> Depth:
@@ -56,6 +62,31 @@ def extents(found: NDArray[np.float32]) -> tuple[float, float]:
 )
 def test_a_surface_stands_out(inside: Depth, around: float, expected: tuple[float, float]) -> None:
     np.testing.assert_allclose(extents(surface(inside, around)), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("inside", "masked", "expected"),
+    [
+        pytest.param(rows((8, 1.0), (12, 2.0)), slice(8, 20), (2.0, 2.0), id="nearer beside it"),
+        pytest.param(rows((12, 2.0), (8, 3.5)), slice(0, 12), (2.0, 2.0), id="farther beside it"),
+        pytest.param(rows((14, 4.0), (6, 2.0)), slice(12, 18), (2.0, 2.0), id="two pixels aside"),
+        pytest.param(rows((6, 1.0), (14, 2.0)), slice(0, 20), (2.0, 2.0), id="a part of what is nearer"),
+        pytest.param(rows((12, 2.0), (3, 2.9), (5, 4.0)), slice(0, 20), (2.0, 2.9), id="a part behind"),
+        pytest.param(rows((13, 2.0), (2, 2.9), (5, 4.0)), slice(0, 20), (2.0, 2.0), id="too small a part"),
+        pytest.param(rows((20, 2.0)), slice(0, 0), (2.0, 2.0), id="empty, as without"),
+        pytest.param(rows((12, 2.0), (8, NAN)), slice(14, 20), (NAN, NAN), id="not measured"),
+        pytest.param(rows((14, 2.0), (6, 4.0)), slice(17, 20), (2.0, 2.0), id="only background in it"),
+        pytest.param(
+            rows((4, NAN), (8, 4.0), (8, NAN)), slice(4, 12), (4.0, 4.0), id="as far as the background"
+        ),
+    ],
+)
+def test_only_what_is_in_the_mask_is_the_object(
+    inside: Depth, masked: slice, expected: tuple[float, float]
+) -> None:
+    mask = np.zeros((SIDE, SIDE), np.bool_)
+    mask[masked] = True
+    np.testing.assert_allclose(extents(surface(inside, 4.0, mask)), expected, rtol=1e-6)
 
 
 def test_a_surface_that_recedes_is_seen_to_its_far_end() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.solids import Sphere
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 
 Shape = Literal["board", "disc", "sphere", "pole", "diagonal", "frame"]
@@ -49,6 +50,8 @@ class Difficulty:
     """Of all pixels, half of them alone, half in patches."""
     is_half_occluded: bool = False
     """A nearer board covers half of the object and goes on beyond its box."""
+    is_box_of_visible: bool = False
+    """The box is always that of the half that is visible; otherwise half of the boxes are of the whole."""
     has_neighbours: bool = False
     """The same surface again on its left and on its right, at the same depth."""
     stands_on_floor: bool = False
@@ -67,7 +70,18 @@ class DepthScene:
     """(3,) centre of the bounding box of the object's surface, in the optical frame."""
     size_xyz_m: NDArray[np.float64]
     """(3,) size of that bounding box."""
+    mask: NDArray[np.bool_]
+    """(H, W), the visible pixels of the object."""
+    hidden_share: float = 0.0
+    """Of the object's pixels."""
     camera: Intrinsics = CAMERA
+
+    def masks(self, aside_px: int = 0, cell_px: int = 1) -> Masks:
+        """The mask of the object, so far too much to the right and down, in cells with sides of `cell_px`."""
+        moved = np.roll(self.mask, aside_px, axis=(0, 1))
+        return one_mask(
+            moved.reshape(-1, cell_px, len(moved[0]) // cell_px, cell_px).mean(axis=(1, 3)), cell_px
+        )
 
     @property
     def range_m(self) -> float:
@@ -88,18 +102,29 @@ def random_depth_scene(
     depth_m = np.minimum(background, surface)
     if difficulty.has_neighbours:
         depth_m = np.minimum(depth_m, _beside(rng, surface))
+    visible = seen
     if difficulty.is_half_occluded:
         occluder = _occluder(rng, surface)
         depth_m = np.minimum(depth_m, occluder)
-        if rng.random() < 0.5:  # the detector boxes only what is visible
-            seen &= np.isinf(occluder)
+        visible = seen & np.isinf(occluder)
+        if rng.random() < 0.5 or difficulty.is_box_of_visible:
+            seen = visible
     lower, upper = bounds(np.where(seen, surface, np.inf))
     return DepthScene(
         depth_m=measured_by_a_sensor(rng, depth_m, difficulty.hole_share),
         box_xyxy=jittered_box(rng, seen),
         centre_xyz_m=(lower + upper) / 2,
         size_xyz_m=upper - lower,
+        mask=visible,
+        hidden_share=1 - float(visible.sum() / np.isfinite(surface).sum()),
     )
+
+
+def one_mask(share: NDArray[np.bool_] | NDArray[np.float64], cell_px: int = 1) -> Masks:
+    """A model's masks of one object that fills this share of each cell (h, w)."""
+    logits = ((share - 0.5) * 18).astype(np.float32)
+    height, width = share.shape
+    return Masks(logits[None], np.ones((1, 1), np.float32), (height * cell_px, width * cell_px))
 
 
 def rays(

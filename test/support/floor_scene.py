@@ -95,6 +95,8 @@ def random_floor_scene(
         box_xyxy=np.array(tight_box(seen), np.float32) if is_ideal else jittered_box(rng, seen),
         centre_xyz_m=(lower + upper) / 2,
         size_xyz_m=upper - lower,
+        mask=seen,
+        hidden_share=1 - float(seen.sum() / np.isfinite(surface).sum()),
         camera=camera,
     )
 

@@ -62,11 +62,20 @@ class Masks:
         the pixels in the box, whatever the size of the image.
         """
         x1, y1, x2, y2 = box_xyxy.tolist()
+        height, width = self.size_hw
+        window = Window(_pixels_between(y1, y2, height), _pixels_between(x1, x2, width))
+        return window, self.at(row, np.arange(height)[window.rows], np.arange(width)[window.columns])
+
+    def at(self, row: int, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which pixels (r, c) in `rows` (r,) and `columns` (c,) of the image a detection's mask has.
+
+        The mask is not cut off at the box, and beyond the image it goes on as at its edge.
+        """
         (height, width), (cells_y, cells_x) = self.size_hw, self.prototypes.shape[1:]
-        rows, rows_of_cells, ys = _cells_at(y1, y2, cells=cells_y, pixels=height)
-        columns, columns_of_cells, xs = _cells_at(x1, x2, cells=cells_x, pixels=width)
-        inside = np.zeros((len(ys), len(xs)), np.bool_)
+        inside = np.zeros((len(rows), len(columns)), np.bool_)
         if inside.size:
+            rows_of_cells, ys = _cells_at(rows, cells=cells_y, pixels=height)
+            columns_of_cells, xs = _cells_at(columns, cells=cells_x, pixels=width)
             with np.errstate(all="ignore"):  # of very large numbers the share is 0, 1 or NaN
                 part = self.prototypes[:, rows_of_cells, columns_of_cells]
                 logits: NDArray[np.float32] = np.tensordot(self.coefficients[row], part, axes=1)
@@ -76,7 +85,7 @@ class Masks:
                 for first in range(0, len(ys), band):
                     of_band = _interpolated(shares, ys[first : first + band])
                     np.greater(of_band, 0.5, out=inside[first : first + band])
-        return Window(rows, columns), inside
+        return inside
 
     def label_image(self, boxes_xyxy: NDArray[np.float32]) -> NDArray[np.uint16]:
         """An image (H, W) with 0 for the background and i + 1 for the pixels of the i-th detection.
@@ -103,19 +112,21 @@ class Window(NamedTuple):
     columns: slice
 
 
-def _cells_at(
-    low: float, high: float, *, cells: int, pixels: int
-) -> tuple[slice, slice, NDArray[np.float64]]:
-    """The pixels from `low` to below `high`, the cells around them, and where (n,) among these each pixel is.
+def _pixels_between(low: float, high: float, pixels: int) -> slice:
+    """Those of the first `pixels` from `low` to below `high`."""
+    return slice(*(min(max(math.ceil(bound), 0), pixels) for bound in (low, max(low, high))))
+
+
+def _cells_at(indices: NDArray[np.intp], *, cells: int, pixels: int) -> tuple[slice, NDArray[np.float64]]:
+    """The cells around pixels with the `indices` (n,), and where (n,) among these each pixel is.
 
     Of an axis with `cells`, which are resized to `pixels`. The centres of the first and the last cell are
     half a cell from the edges of the image, as in OpenCV's INTER_LINEAR. Pixels beyond these centres have the
     value of that cell.
     """
-    first, end = (min(max(math.ceil(bound), 0), pixels) for bound in (low, max(low, high)))
-    places = np.clip((np.arange(first, end) + 0.5) * (cells / pixels) - 0.5, 0, cells - 1)
-    origin, last = (int(places[0]), int(places[-1])) if len(places) else (0, -1)
-    return slice(first, end), slice(origin, last + 2), places - origin
+    places = np.clip((indices + 0.5) * (cells / pixels) - 0.5, 0, cells - 1)
+    origin = int(places.min())
+    return slice(origin, int(places.max()) + 2), places - origin
 
 
 def _interpolated(values: NDArray[np.float32], places: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.surface import surfaces_m
+from yolov5_lifecycle.spatial.surface import ObjectMasks, surfaces_m
 
 MAX_BOXES_AT_ONCE = 64
 """More boxes are placed in several passes, so that the arrays stay small."""
@@ -63,12 +63,14 @@ def place(
     image_size_hw: tuple[int, int],
     depth: DepthImage,
     intrinsics: Intrinsics | None,
+    masks: ObjectMasks | None = None,
 ) -> tuple[Placement, ...]:
     """Where the objects in the boxes (n, 4) are, one entry per box.
 
     `boxes_xyxy` are finite corners in pixels of the colour image of `image_size_hw`, to which the depth
     image is aligned; (0, 0) is the outer corner of its first pixel. `intrinsics` are None while there
-    are none. docs/depth.md describes how the distance is found.
+    are none, `masks` those of the n objects, in an image of the same size, if the model segments.
+    docs/depth.md describes how the distance is found.
     """
     if (reason := unusable(image_size_hw, depth, intrinsics)) is not None:
         return (reason,) * len(boxes_xyxy)
@@ -76,7 +78,8 @@ def place(
     placements: list[Placement] = []
     for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
         boxes = boxes_xyxy[first : first + MAX_BOXES_AT_ONCE]
-        surfaces = surfaces_m(depth, boxes, intrinsics)
+        of_boxes = None if masks is None else masks.of(np.arange(first, first + len(boxes)))
+        surfaces = surfaces_m(depth, boxes, intrinsics, of_boxes)
         placements += _placements(boxes.astype(np.float64), surfaces, intrinsics)
     return tuple(placements)
 

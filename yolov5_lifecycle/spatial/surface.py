@@ -2,12 +2,16 @@
 
 A box also holds background, and often something nearer that hides a part of the object. Both extend beyond
 the box, the object does not: planes that go on around the box are removed first, and of what is left a depth
-counts by how much more frequent it is in the box than around it.
+counts by how much more frequent it is in the box than around it. Where the object's mask is known, only what
+lies in it counts.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from itertools import product
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +19,8 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.spatial.box_samples import (
     GRID,
     IS_AROUND,
+    RING,
+    SIDE,
     BoxSamples,
     around,
     inside,
@@ -26,14 +32,10 @@ from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
 
 _BIN_WIDTH = math.log(1.025)
 """Depths are counted in bins of 2.5 %, so that near and far objects are resolved equally well."""
-_RING_WEIGHT = 2.5
-"""More than 1, because a slope behind the object has other depths around the box than in it."""
 _MIN_RING_SHARE = 0.25
 """Share of the samples around a box; fewer count for less, as at the edge of the image."""
 _MIN_EXCESS = 0.03
 """Share of the samples in a box; less is noise: then only the depths in the box count."""
-_MIN_OF_PEAK = 0.2
-"""Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
 _SURFACE_END = 0.06
 """Share of the excess of the surface's peak: bins with less are a gap in the surface, or beyond it."""
 _FULL_SURFACE_END = 0.2
@@ -42,8 +44,8 @@ _MIN_KEPT = 0.01
 """The same as a share of the samples in a box."""
 _GAP_BEFORE, _GAP_BEHIND = 1, 4
 """Bins without samples that a surface may reach across, as from a seat to the back, or from leg to leg."""
-_MIN_PART, _GAP_TO_PART = 0.06, 20
-"""Excess of bins that may be that much farther behind, as the other legs of a table seen edge-on."""
+_GAP_TO_PART = 20
+"""Bins that a part of the object may be farther behind, as the other legs of a table seen edge-on."""
 _BARRIER = -0.02
 """Excess of bins that a surface never reaches across: there is more of them around the box."""
 _MIN_VALID = 0.05
@@ -62,26 +64,89 @@ _OUTLIERS = 0.002
 """Share of a surface's samples left out at each end."""
 _NO_BIN = -9
 """Of a sample that does not count; more than two bins before all others."""
+_MASK_MARGIN_PX = 2
+"""Masks err that much at their edges; the background that comes along is known by its planes."""
+_MIN_OF_MEASURED = 0.2
+"""Share of measurements in a mask, as a part of that in and around the box: a black object has fewer."""
 
 Array = NDArray[np.float32]
 Bins = NDArray[np.int32]
 Flags = NDArray[np.bool_]
+Shares = NDArray[np.float64]
 
 
-def surfaces_m(depth: DepthImage, boxes_xyxy: NDArray[np.float32], camera: Intrinsics) -> Array:
+@dataclass(frozen=True)
+class _Evidence:
+    """How much the samples of an object tell."""
+
+    ring_weight: float
+    """Of what is around the box. More than 1 for a box, in which a slope has other depths than around it."""
+    min_of_peak: float
+    """Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
+    min_part: float
+    """Excess of bins that are a part of the object behind a gap."""
+
+
+_OF_BOX = _Evidence(ring_weight=2.5, min_of_peak=0.2, min_part=0.06)
+_OF_MASK = _Evidence(ring_weight=1.0, min_of_peak=0.5, min_part=0.15)
+"""A mask contains little else than the object, so less is needed to tell it from its surroundings."""
+
+
+class ObjectMasks(Protocol):
+    """Masks of detections, see `yolov5_lifecycle.detection.masks.Masks`."""
+
+    def of(self, rows: NDArray[np.int64], /) -> ObjectMasks:
+        """The masks of the detections with the indices `rows` (n,)."""
+
+    def at(self, row: int, rows: NDArray[np.intp], columns: NDArray[np.intp], /) -> Flags:
+        """Which pixels (r, c) in `rows` (r,) and `columns` (c,) of the image a detection's mask has."""
+
+
+def surfaces_m(
+    depth: DepthImage,
+    boxes_xyxy: NDArray[np.float32],
+    camera: Intrinsics,
+    masks: ObjectMasks | None = None,
+) -> Array:
     """Depth in metres (n, SIDE, SIDE) of the surface of the object in each of the boxes (n, 4).
 
     The samples are evenly spread over the box, row by row; NaN where the object is not seen. Boxes are
-    finite corners in pixels of the depth image.
+    finite corners in pixels of the depth image, `masks` those of the same objects in an image of its size. A
+    mask in which no object is found does not count, but an object that has no depth in its mask has none.
     """
     samples = sampled(depth, boxes_xyxy, camera)
     bins = _bins(samples.metres)
     foreground = np.where(is_background(samples), np.int32(_NO_BIN), bins)
-    is_surface, is_found = _foreground_surface(_supported(foreground, samples, depth), bins)
-    if not is_found.all():
-        is_surface[~is_found] = _any_surface(bins[~is_found])
+    foreground = _supported(foreground, samples, depth)
+    looks = [(np.ones(bins.shape, np.bool_), _OF_BOX)]
+    is_done = np.zeros(len(bins), np.bool_)
+    if masks is not None:
+        in_mask, is_measured = _in_masks(masks, samples)
+        looks, is_done = [(in_mask, _OF_MASK), *looks], ~is_measured
+    is_surface = np.zeros((len(bins), SIDE, SIDE), np.bool_)
+    for find, (is_counted, evidence) in product((_foreground_surface, _any_surface), looks):
+        if not is_done.all():
+            left = ~is_done
+            is_surface[left], is_done[left] = find(foreground[left], bins[left], is_counted[left], evidence)
     metres = np.where(is_surface, inside(samples.metres), np.float32(np.nan))
     return _without_outliers(metres)
+
+
+def _in_masks(masks: ObjectMasks, samples: BoxSamples) -> tuple[Flags, Flags]:
+    """Which samples (n, GRID, GRID) may be of the object in a mask, and whether the camera measures it (n,).
+
+    Those in the mask and within _MASK_MARGIN_PX, and all samples around the box.
+    """
+    beside = np.array((-_MASK_MARGIN_PX, 0, _MASK_MARGIN_PX))
+    near, proper = np.ones((2, *samples.metres.shape), np.bool_)
+    for row, (rows, columns) in enumerate(zip(samples.rows, samples.columns, strict=True)):
+        places = (each[RING:-RING, None] + beside for each in (rows, columns))
+        pixels = masks.at(row, *(each.ravel() for each in places)).reshape(SIDE, 3, SIDE, 3)
+        inside(near)[row], inside(proper)[row] = pixels.any(axis=(1, 3)), pixels[:, 1, :, 1]
+    is_measured = ~np.isnan(samples.metres)
+    in_proper = inside(proper).sum(axis=(1, 2))
+    measured = (inside(proper) & inside(is_measured)).sum(axis=(1, 2))
+    return near, measured >= _MIN_OF_MEASURED * in_proper * is_measured.mean(axis=(1, 2))
 
 
 def _bins(metres: Array) -> Bins:
@@ -138,36 +203,39 @@ def _is_alone(
     return np.asarray(is_told & ~is_same.any(axis=0))
 
 
-def _foreground_surface(foreground: Bins, bins: Bins) -> tuple[Flags, Flags]:
+def _foreground_surface(
+    foreground: Bins, bins: Bins, is_counted: Flags, evidence: _Evidence
+) -> tuple[Flags, Flags]:
     """Which samples (n, SIDE, SIDE) are on the surface before the background, and whether there is one (n,).
 
-    `bins` (n, GRID, GRID) are those of all samples, `foreground` of those that are not background.
+    `bins` (n, GRID, GRID) are those of all samples, `foreground` of those that are not background. In the
+    box, only those with `is_counted` may be on the surface.
     """
+    foreground, bins, valid_share = _counted(foreground, bins, is_counted)
     shares, shares_around, first = _shares(foreground, bins)
-    excess = shares - _RING_WEIGHT * shares_around
-    is_found = (excess.max(axis=1) >= _MIN_EXCESS) & (_valid_share(bins) >= _MIN_VALID)
-    ends = _surface_ends(excess, _SURFACE_END, _GAP_BEFORE, _GAP_BEHIND)
-    return _is_between(inside(foreground), first, ends), is_found
+    excess = shares - evidence.ring_weight * shares_around
+    is_found = (excess.max(axis=1) >= _MIN_EXCESS) & (valid_share >= _MIN_VALID)
+    ends = _surface_ends(excess, evidence, _SURFACE_END, _GAP_BEFORE, _GAP_BEHIND)
+    return _is_between(inside(foreground), first, ends) & is_found[:, None, None], is_found
 
 
-def _any_surface(bins: Bins) -> Flags:
-    """Which samples (n, SIDE, SIDE) are on the surface of an object that is as far away as its background.
-
-    It may also fill the image. None if too few samples are measurements.
-    """
+def _any_surface(foreground: Bins, bins: Bins, is_counted: Flags, evidence: _Evidence) -> tuple[Flags, Flags]:
+    """The same of an object that is as far away as its background, or fills the image."""
+    _, bins, valid_share = _counted(foreground, bins, is_counted)
     shares, shares_around, first = _shares(bins, bins)
-    excess = shares - _RING_WEIGHT * shares_around
+    excess = shares - evidence.ring_weight * shares_around
     is_alone = excess.max(axis=1) < _MIN_EXCESS
     excess[is_alone] = shares[is_alone]
-    ends = _surface_ends(excess, _FULL_SURFACE_END, 0, 0)
-    is_found = _valid_share(bins) >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
-    return _is_between(inside(bins), first, ends) & is_found[:, None, None]
+    ends = _surface_ends(excess, evidence, _FULL_SURFACE_END, 0, 0)
+    is_found = valid_share >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
+    return _is_between(inside(bins), first, ends) & is_found[:, None, None], is_found
 
 
-def _valid_share(bins: Bins) -> NDArray[np.float64]:
-    """Share (n,) of the samples in the box that are measurements."""
-    share: NDArray[np.float64] = (inside(bins) >= 0).mean(axis=(1, 2))
-    return share
+def _counted(foreground: Bins, bins: Bins, is_counted: Flags) -> tuple[Bins, Bins, Shares]:
+    """The bins of what counts, and the share (n,) of what counts in the box that is a measurement."""
+    foreground, bins = (np.where(is_counted, each, np.int32(_NO_BIN)) for each in (foreground, bins))
+    counted = inside(is_counted).sum(axis=(1, 2))
+    return foreground, bins, (inside(bins) >= 0).sum(axis=(1, 2)) / np.maximum(counted, 1)
 
 
 def _is_between(bins: Bins, first: int, ends: tuple[NDArray[np.intp], NDArray[np.intp]]) -> Flags:
@@ -176,7 +244,7 @@ def _is_between(bins: Bins, first: int, ends: tuple[NDArray[np.intp], NDArray[np
     return np.asarray((bins >= np.maximum(start, 0)) & (bins <= last))
 
 
-def _shares(counted: Bins, bins: Bins) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+def _shares(counted: Bins, bins: Bins) -> tuple[Shares, Shares, int]:
     """Shares (n, count) of measurements in each bin and its neighbours, in and around boxes; the first bin.
 
     `bins` (n, GRID, GRID) are those of all measurements, `counted` of those of which the share is.
@@ -210,14 +278,14 @@ def _counts(bins: Bins, first: int, count: int) -> NDArray[np.float64]:
 
 
 def _surface_ends(
-    excess: NDArray[np.float64], end_share: float, gap_before: int, gap_behind: int
+    excess: Shares, evidence: _Evidence, end_share: float, gap_before: int, gap_behind: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last bin (n,) of the surface around the nearest peak of each box's excess (n, count)."""
-    is_peak = excess >= _MIN_OF_PEAK * excess.max(axis=1, keepdims=True)
+    is_peak = excess >= evidence.min_of_peak * excess.max(axis=1, keepdims=True)
     is_peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
     peak = is_peak.argmax(axis=1)  # the one before the first such bin is lower, or it would be the first
     is_kept = excess > np.maximum(end_share * np.take_along_axis(excess, peak[:, None], axis=1), _MIN_KEPT)
-    is_barrier, is_part = excess < _BARRIER, (excess >= _MIN_PART) & (gap_behind > 0)
+    is_barrier, is_part = excess < _BARRIER, (excess >= evidence.min_part) & (gap_behind > 0)
     last = excess.shape[1] - 1
     return (
         last

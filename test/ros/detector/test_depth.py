@@ -16,6 +16,7 @@ from support.depth_scene import CAMERA, random_depth_scene
 from support.gate import Gate
 from support.lone_node import lone_node
 from support.preparations import Preparations, prediction
+from support.segmented_scene import PARAMETERS, SIZE_HW, SegmentingModel, rows
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
@@ -245,6 +246,37 @@ def test_detections_of_images_that_nobody_has_rectified_are_placed_through_the_l
     client.lens = {"distortion_model": "division", "d": [0.1]}
     client.send_depth()
     client.served.wait_for(lambda: client.served.status().message.find("'division'") >= 0, "the refusal")
+
+
+def test_with_a_segmentation_model_what_is_nearer_beside_the_mask_is_not_the_object(
+    prepare: Preparations,
+) -> None:
+    model = SegmentingModel(prepare)
+    prepare.run = lambda: rows(0.9)
+    with ServedNode(prepare, parameters=[*PARAMETERS, "depth:=true"]) as served:
+        camera = DepthClient(served, wall_m=4.0, size_hw=SIZE_HW)
+        begin(camera)
+        camera.depth_m[32:80, 16:40] = 2
+        camera.depth_m[36:76, 44:60] = 1
+        (cat,) = camera.place().detections
+        assert cat.bbox.center.position.z == pytest.approx(2)
+        assert served.set(depth=False) == (True, "")
+        computed = model.computed
+        camera.see()
+        assert model.computed == computed, "nobody needs masks"
+
+
+def test_each_published_detection_is_placed_by_its_own_mask(prepare: Preparations) -> None:
+    """The tracker looks at a cat, too, that is not published."""
+    SegmentingModel(prepare)
+    parameters = [*PARAMETERS, "depth:=true", "tracker:=bytetrack", "class_thresholds:=['cat: 0.95']"]
+    with ServedNode(prepare, parameters=parameters) as served:
+        camera = DepthClient(served, wall_m=4.0, size_hw=SIZE_HW)
+        begin(camera)
+        camera.depth_m[64:88, 32:112] = 3
+        camera.depth_m[64:88, 32:40] = 2
+        (dog,) = camera.place().detections
+        assert dog.bbox.center.position.z == pytest.approx(3)
 
 
 def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(

@@ -23,6 +23,7 @@ from yolov5_lifecycle.spatial.camera_model import Intrinsics, intrinsics_of_mess
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
+from yolov5_lifecycle.spatial.surface import ObjectMasks
 
 
 @dataclass(frozen=True)
@@ -170,9 +171,14 @@ class DepthInput:
         self._pairing.expect(stamp_ns(header))
 
     def place(
-        self, boxes_xyxy: NDArray[np.float32], image_size_hw: tuple[int, int], header: Header
+        self,
+        boxes_xyxy: NDArray[np.float32],
+        image_size_hw: tuple[int, int],
+        header: Header,
+        masks: ObjectMasks | None = None,
     ) -> PlacedImage | None:
-        """Place the boxes (n, 4) of the image with this header with the depth image nearest in time.
+        """Place the boxes (n, 4) of the image with this header, whose objects have these masks if they are
+        known, with the depth image nearest in time.
 
         None, counted with the reason, if no depth image fits.
         """
@@ -190,7 +196,7 @@ class DepthInput:
         if len(frames) > 1:
             self._count_unplaced(count, Unplaced.OTHER_CAMERA, _of_another_camera(header.frame_id, frame_id))
             return None
-        placements = place(boxes_xyxy, image_size_hw, depth, intrinsics)
+        placements = place(boxes_xyxy, image_size_hw, depth, intrinsics, masks)
         for placement in placements:
             name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
             self.counts[name] += 1

@@ -105,12 +105,13 @@ class CameraPipeline:
     def wanted(self) -> Selection:
         """What the detector should report for the next image.
 
-        With a tracker, also detections that may continue a track; masks while a topic that shows them has a
-        subscriber; what a look at the frame needs if it may be collected.
+        With a tracker, also detections that may continue a track; masks while a topic that shows them, or
+        the places found with them, has a subscriber; what a look at the frame needs if it may be collected.
         """
         outputs = self.outputs
-        with_masks = self.whole.segments and outputs.mask_subscribers + outputs.image_subscribers > 0
-        selection = replace(self._selected, with_masks=with_masks)
+        subscribers = outputs.mask_subscribers + outputs.image_subscribers
+        subscribers += 0 if self.depth is None else outputs.subscribers_3d
+        selection = replace(self._selected, with_masks=subscribers > 0)
         return selection if self.collecting is None else self.collecting.wanted(selection)
 
     @property
@@ -139,7 +140,8 @@ class CameraPipeline:
         # An image without depth gets no message: an empty one would mean that there are no objects.
         placed: PlacedImage | None = None
         if self.depth is not None and self.outputs.subscribers_3d + self.outputs.image_subscribers > 0:
-            placed = self.depth.place(detections.boxes_xyxy, result.image.size_hw, header)
+            size_hw = result.image.size_hw
+            placed = self.depth.place(detections.boxes_xyxy, size_hw, header, detections.masks)
         if placed is not None and self.outputs.subscribers_3d > 0:
             message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
             yield partial(self.outputs.detections_3d.publish, message)
