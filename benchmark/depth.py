@@ -6,6 +6,7 @@ PYTHONPATH=test python -m benchmark.depth [--scenes 40] [--seed 0]
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -23,6 +24,7 @@ from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
+from yolov5_lifecycle.spatial.points import surface_points
 
 SCENES = {
     "sloped background": Difficulty(),
@@ -117,6 +119,46 @@ def floor_rows(count: int, seed: int) -> Iterator[Row]:
                 yield row(f"floor, {name}, {known}", f"{group}: size along z", 0, sizes, unit="%")
 
 
+def point_rows(count: int, seed: int) -> Iterator[Row]:
+    """How many of the points are not on their object, and of its measured pixels have none, in percent."""
+    options = FLOOR_SCENES["as measured, others nearby"]
+    for kind in KINDS:
+        rng = _rng(seed, "points", kind)
+        scenes = [random_floor_scene(rng, kind, **options) for _ in range(count)]
+        for known, masks_of in KNOWN.items():
+            shares = [_point_shares(scene, masks_of(scene)) for scene in scenes]
+            missing = [share for _, share in shares]
+            beside = [share for share, _ in shares if not math.isnan(share)]  # where there are points
+            yield row(f"points, {known}", f"{kind}: points beside it", 0, beside, unit="%")
+            yield row(f"points, {known}", f"{kind}: pixels without a point", 0, missing, unit="%")
+
+
+def _point_shares(scene: DepthScene, masks: Masks | None) -> tuple[float, float]:
+    depth = DepthImage(scene.depth_m, 1.0)
+    found = surface_points(scene.box_xyxy[None], depth, scene.camera, masks)
+    hits = scene.mask[found.rows, found.columns].sum()
+    measured = (scene.mask & (scene.depth_m > 0)).sum()
+    beside = 100 - 100 * hits / len(found.rows) if len(found.rows) else math.nan
+    return beside, 100 - 100 * hits / measured
+
+
+def point_cost_rows() -> Iterator[Row]:
+    """CPU time for the points of 20 boards, one before the other."""
+    rng, (height, width), side = np.random.default_rng(0), (720, 1280), (60, 240)
+    sizes = rng.uniform(*side, (20, 2))
+    starts = rng.uniform(0, 1, (20, 2)) * ((width, height) - sizes)
+    boxes_xyxy = np.hstack((starts, starts + sizes)).astype(np.float32)
+    values = np.full((height, width), 8000, np.uint16)
+    for depth_mm, (x1, y1, x2, y2) in zip(range(7000, 1000, -300), boxes_xyxy.astype(int), strict=True):
+        values[y1:y2, x1:x2] = depth_mm
+    depth, camera = DepthImage(values, 0.001), Intrinsics(900.0, 900.0, 640.0, 360.0, (height, width))
+    for spacing_m in (0.05, 0.02, 0.0):
+        call = partial(surface_points, boxes_xyxy, depth, camera, spacing_m=spacing_m)
+        times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
+        name = f"{len(call().rows):,} points of 20 objects, {spacing_m:g} m apart"
+        yield row("CPU time", name, 0, times_ms, unit="ms of a core")
+
+
 def cost_rows() -> Iterator[Row]:
     """CPU time for all boxes of an image."""
     rng = np.random.default_rng(0)
@@ -136,8 +178,10 @@ def cost_rows() -> Iterator[Row]:
 
 def measured(options: argparse.Namespace, _: Path) -> Figures:
     """Errors in all scenes, and the cost."""
-    of_scenes = [*error_rows(options.scenes, options.seed), *floor_rows(options.scenes, options.seed)]
-    return [*of_scenes, *cost_rows()], []
+    of_scenes = [
+        found for rows in (error_rows, floor_rows, point_rows) for found in rows(options.scenes, options.seed)
+    ]
+    return [*of_scenes, *cost_rows(), *point_cost_rows()], []
 
 
 PROGRAM = Program(

@@ -47,6 +47,7 @@ OF_OTHERS = (
     *("sudo", "git", "cd", "mkdir", "source", "export", "pixi", "docker", "podman", "journalctl"),
     *("rviz2", "python3", ".venv/bin/python -c", "~/yolov5_venv/bin/", "~/yolov5_release/bin/"),
     *("ros2 run rqt_image_view", "ros2 run tf2_ros", "ros2 run nav2_lifecycle_manager", "ros2 security"),
+    "ros2 run depth_image_proc",
 )
 """How the commands of other programs begin."""
 NOT_RUN = {

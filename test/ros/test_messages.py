@@ -8,28 +8,38 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
+from support.point_clouds import points_of
 from support.segmented_scene import pixels
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.detection.detections import Detections
-from yolov5_lifecycle.ros.messages import detection_3d_array_message, detection_array, image_message
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
+from yolov5_lifecycle.ros.messages import (
+    detection_3d_array_message,
+    detection_array,
+    image_message,
+    point_cloud_message,
+)
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced
+from yolov5_lifecycle.spatial.points import SurfacePoints
 
 CUP = Box3D((0.5, -0.25, 2.0), (0.1, 0.2, 0.05))
 CAR = Box3D((-3.0, 1.0, 12.0), (2.0, 1.5, 0.5))
 
 
+FOUND = Detections(
+    boxes_xyxy=np.array([[10, 20, 30, 40], [50, 60, 90, 80]], np.float32),
+    scores=np.array([0.75, 0.5], np.float32),
+    class_ids=np.array([0, 1], np.int64),
+)
+
+
 def detections_2d(count: int = 2) -> Detection2DArray:
     """`count` of a cup and a car, with the ids of a tracker."""
-    found = Detections(
-        boxes_xyxy=np.array([[10, 20, 30, 40], [50, 60, 90, 80]], np.float32)[:count],
-        scores=np.array([0.75, 0.5], np.float32)[:count],
-        class_ids=np.array([0, 1], np.int64)[:count],
-    )
     header = Header(stamp=Time(sec=7, nanosec=8), frame_id="color_optical_frame")
-    array = detection_array(found, ["cup", "car"], header)
+    array = detection_array(FOUND[:count], ["cup", "car"], header)
     for index, detection in enumerate(array.detections):
         detection.id = f"track {index}"
     return array
@@ -52,6 +62,28 @@ def test_each_detection_has_its_box_in_metres_and_the_rest_of_the_2d_array() -> 
         assert (size.x, size.y, size.z) == box.size_xyz_m
         assert centre.orientation == Quaternion(w=1.0)
         assert detection.results[0].pose.pose == centre
+
+
+@pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
+def test_a_cloud_has_each_point_with_its_colour_and_detection(channel_order: ChannelOrder) -> None:
+    shown = np.zeros((48, 64, 3), np.uint8)
+    shown[30, 40] = (1, 2, 250)
+    points = SurfacePoints(
+        xyz_m=np.array([[0.5, -0.25, 2], [1, 2, 3]], np.float32),
+        rows=np.array([30, 0]),
+        columns=np.array([40, 0]),
+        boxes=np.array([1, 1]),
+    )
+    header = Header(stamp=Time(sec=7, nanosec=8), frame_id="depth_optical_frame")
+    message = point_cloud_message(points, FOUND, ColourImage(shown, channel_order), header)
+    cloud = deserialize_message(serialize_message(message), PointCloud2)
+    assert (cloud.header, cloud.height, cloud.width, cloud.is_dense) == (header, 1, 2, True)
+    values = points_of(cloud)
+    np.testing.assert_array_equal([values[axis] for axis in "xyz"], points.xyz_m.T)
+    red, blue = (1, 250) if channel_order == "rgb" else (250, 1)
+    assert values["rgb"].view(np.uint32).tolist() == [red << 16 | 2 << 8 | blue, 0]
+    assert (values["detection"].tolist(), values["class_id"].tolist()) == ([1, 1], [1, 1])
+    assert values["score"].tolist() == [0.5, 0.5]
 
 
 def test_a_detection_without_a_place_is_left_out() -> None:

@@ -30,7 +30,8 @@ from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.placement import MAX_BOXES_AT_ONCE, Box3D, Placement, Unplaced, place
+from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place
+from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE
 
 SIZE_HW = CAMERA.size_hw
 DIFFICULTIES = {

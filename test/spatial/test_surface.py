@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from support.depth_scene import CAMERA, one_mask
 
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, is_background, sampled
 from yolov5_lifecycle.spatial.camera_model import Distortion
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.surface import surfaces_m
+from yolov5_lifecycle.spatial.surface import Surfaces, surfaces_in
 
 NAN = np.nan
 Depth = NDArray[np.float64]
@@ -20,6 +21,12 @@ Depth = NDArray[np.float64]
 BOX = np.array([[30, 30, 50, 50]], np.float32)
 """Each of its samples is one pixel."""
 IN_BOX = slice(30, 50), slice(30, 50)
+
+
+def seen(depth_m: NDArray[np.float32], masks: Masks | None = None) -> Surfaces:
+    """In BOX."""
+    ((_, found),) = surfaces_in(BOX, DepthImage(depth_m, 1.0), CAMERA, masks)
+    return found
 
 
 def surface(
@@ -32,7 +39,7 @@ def surface(
     depth_m = np.full((80, 80), around, np.float32)
     depth_m[IN_BOX] = np.broadcast_to(inside, (SIDE, SIDE))
     masks = None if mask is None else one_mask(np.pad(mask, 30))
-    return np.asarray(surfaces_m(DepthImage(depth_m, 1.0), BOX, CAMERA, masks)[0])
+    return np.asarray(seen(depth_m, masks).metres[0])
 
 
 def rows(*parts: tuple[int, float]) -> Depth:
@@ -102,7 +109,7 @@ def test_sparse_depth_has_a_surface(every: int) -> None:
     depth_m[IN_BOX] = np.linspace(1.0, 1.3, SIDE)[:, None]
     sparse = np.zeros_like(depth_m, np.float32)
     sparse[::every, ::every] = depth_m[::every, ::every]
-    (found,) = surfaces_m(DepthImage(sparse, 1.0), BOX, CAMERA)
+    (found,) = seen(sparse).metres
     near, far = extents(found)
     assert near < 1.05
     assert 1.2 < far < 1.35

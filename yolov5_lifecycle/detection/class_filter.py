@@ -120,6 +120,7 @@ def _safe(entry: str) -> str:
 _MODEL_DEPENDENT: Mapping[str, Callable[[Sequence[str], Sequence[str]], object]] = {
     "classes": class_ids,
     "class_thresholds": class_thresholds,
+    "points_classes": class_ids,
     "collect_reasons": lambda reasons, names: class_ids(classes_of_reasons(reasons), names),
 }
 """By setting: the function that resolves it with the class names, or raises ValueError."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import vision_msgs.msg
 from numpy.typing import NDArray
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 from vision_msgs.msg import (
     BoundingBox3D,
@@ -26,6 +26,7 @@ from yolov5_lifecycle.images.compressed import compressed_image, is_jpeg
 from yolov5_lifecycle.images.encodings import raw_image
 from yolov5_lifecycle.images.image import ColourImage, bytes_of
 from yolov5_lifecycle.spatial.placement import Box3D, Placement
+from yolov5_lifecycle.spatial.points import SurfacePoints
 
 _EXIF_BYTES = 1 << 16
 """EXIF data are at the beginning of a JPEG file."""
@@ -100,6 +101,42 @@ def _detection_3d(detection: Detection2D, box: Box3D, header: Header) -> Detecti
     for result in results:
         result.pose.pose = bbox.center
     return Detection3D(header=header, results=results, bbox=bbox, id=detection.id)
+
+
+_POINT = np.dtype(
+    [*((name, "<f4") for name in ("x", "y", "z", "rgb", "score")), ("detection", "<u4"), ("class_id", "<u4")]
+)
+_DATATYPES = {np.dtype("<f4"): PointField.FLOAT32, np.dtype("<u4"): PointField.UINT32}
+
+
+def point_cloud_message(
+    points: SurfacePoints, detections: Detections, image: ColourImage, header: Header
+) -> PointCloud2:
+    """Cloud of points on the surfaces of `detections`, whose boxes the points name; coloured as in `image`.
+
+    `rgb` has the three bytes of a colour in the bits of a float, as PCL and RViz expect it.
+    """
+    cloud = np.empty(len(points.boxes), _POINT)
+    cloud["x"], cloud["y"], cloud["z"] = points.xyz_m.T
+    colours = image.pixels[points.rows, points.columns].astype(np.uint32)
+    blue, green, red = colours.T if image.channel_order == "bgr" else colours.T[::-1]
+    cloud["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
+    cloud["detection"] = points.boxes
+    cloud["class_id"], cloud["score"] = detections.class_ids[points.boxes], detections.scores[points.boxes]
+    return PointCloud2(
+        header=header,
+        height=1,
+        width=len(cloud),
+        fields=[
+            PointField(name=name, offset=offset, datatype=_DATATYPES[dtype], count=1)
+            for name, (dtype, offset, *_) in (_POINT.fields or {}).items()
+        ],
+        is_bigendian=False,
+        point_step=_POINT.itemsize,
+        row_step=cloud.nbytes,
+        data=_array_of(cloud.view(np.uint8)),
+        is_dense=True,
+    )
 
 
 def stamp_ns(header: Header) -> int:

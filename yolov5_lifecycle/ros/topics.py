@@ -23,6 +23,7 @@ from yolov5_lifecycle.settings.value_text import value_text
 
 DETECTIONS = "~/detections"
 DETECTIONS_3D = "~/detections_3d"
+POINTS = "~/points"
 MASKS = "~/masks"
 IMAGE = "~/image"
 COMPRESSED_IMAGE = "~/image/compressed"
@@ -33,7 +34,7 @@ DEPTH_IMAGE_RAW = "~/depth/image_raw"
 DEPTH_CAMERA_INFO = "~/depth/camera_info"
 
 COLOUR_IMAGES = (IMAGE_RAW, COMPRESSED_IMAGE_RAW)
-_PUBLISHED = (DETECTIONS, DETECTIONS_3D, MASKS, IMAGE, COMPRESSED_IMAGE)
+_PUBLISHED = (DETECTIONS, DETECTIONS_3D, POINTS, MASKS, IMAGE, COMPRESSED_IMAGE)
 _SUBSCRIBED = (*COLOUR_IMAGES, DEPTH_IMAGE_RAW, DEPTH_CAMERA_INFO)
 _OTHERS = ("/diagnostics", "/rosout", "/parameter_events")
 

@@ -27,7 +27,7 @@ MAX_NAME_LENGTH = 64
 """Max characters of a name."""
 
 _NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*_?")
-_TOPICS = ("image", "image_raw", "detections", "detections_3d", "masks", "label_info")
+_TOPICS = ("image", "image_raw", "detections", "detections_3d", "points", "masks", "label_info")
 """First parts of the names of the node's own topics; `depth` is a setting, too."""
 NODE_STATUS = "detection"
 """Name of the node's own status in /diagnostics, beside those of its cameras."""

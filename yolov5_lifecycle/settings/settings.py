@@ -185,14 +185,25 @@ class Settings(BaseModel):
     )
     depth: Annotated[bool, Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         False,
-        description="Publish ~/detections_3d: where detections are in space, from ~/depth/image_raw and "
-        "~/depth/camera_info.",
+        description="Publish ~/detections_3d, where detections are in space, and ~/points, from "
+        "~/depth/image_raw and ~/depth/camera_info.",
     )
     depth_slop_s: Annotated[float, Change.RESUBSCRIBE, Scope.CAMERA] = Field(
         0.05,
         ge=0,
         le=10,
         description="Largest difference in seconds between the stamps of an image and of its depth image.",
+    )
+    points_classes: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
+        (),
+        max_length=10_000,
+        description="Names or indices of the classes whose points are on ~/points, with depth. Empty: all.",
+    )
+    points_spacing_m: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.02,
+        ge=0,
+        le=10,
+        description="Distance in metres between neighbouring points on ~/points. 0: a point for each pixel.",
     )
     collect: Annotated[bool, Change.LIVE, Scope.CAMERA] = Field(
         False, description="Keep the images that are worth a label in collect_dir; see docs/data-loop.md."

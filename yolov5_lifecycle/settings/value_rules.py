@@ -147,6 +147,7 @@ RULES: Mapping[str, Rule] = {
     "weights_dirs": folders,
     "device": device,
     "classes": classes,
+    "points_classes": classes,
     "class_thresholds": thresholds_of_classes,
     "regions": regions,
     "ignore_regions": regions,

@@ -47,12 +47,21 @@ class DepthImage:
         """
         height, width = self.values.shape
         row, column = rows.clip(0, height - 1), columns.clip(0, width - 1)
+        metres = self._metres(self.values[row, column])
+        metres[~((row == rows) & (column == columns))] = np.nan
+        return metres
+
+    def metres_in(self, rows: range, columns: range) -> NDArray[np.float32]:
+        """The same at all pixels (r, c) in these rows and columns of the image, faster."""
+        places = (slice(each.start, each.stop, each.step) for each in (rows, columns))
+        return self._metres(self.values[tuple(places)])
+
+    def _metres(self, values: NDArray[Any]) -> NDArray[np.float32]:
         # Damaged floats may be signalling NaNs, of which numpy would warn.
         with np.errstate(invalid="ignore", over="ignore"):
-            metres: NDArray[np.float32] = self.values[row, column].astype(np.float32)
+            metres: NDArray[np.float32] = values.astype(np.float32)
             metres *= np.float32(self.metres_per_unit)
             is_measured = (metres >= MIN_DEPTH_M) & (metres <= MAX_DEPTH_M)
-        is_measured &= (row == rows) & (column == columns)
         metres[~is_measured] = np.nan
         return metres
 

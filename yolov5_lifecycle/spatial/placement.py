@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.surface import ObjectMasks, surfaces_m
+from yolov5_lifecycle.spatial.surface import ObjectMasks, surfaces_in
 
-MAX_BOXES_AT_ONCE = 64
-"""More boxes are placed in several passes, so that the arrays stay small."""
 _EDGES = np.arange(SIDE + 1) / SIDE
 """Of the samples along each side of a box, in parts of it."""
 
@@ -76,11 +74,8 @@ def place(
         return (reason,) * len(boxes_xyxy)
     assert intrinsics is not None
     placements: list[Placement] = []
-    for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
-        boxes = boxes_xyxy[first : first + MAX_BOXES_AT_ONCE]
-        of_boxes = None if masks is None else masks.of(np.arange(first, first + len(boxes)))
-        surfaces = surfaces_m(depth, boxes, intrinsics, of_boxes)
-        placements += _placements(boxes.astype(np.float64), surfaces, intrinsics)
+    for rows, surfaces in surfaces_in(boxes_xyxy, depth, intrinsics, masks):
+        placements += _placements(boxes_xyxy[rows].astype(np.float64), surfaces.metres, intrinsics)
     return tuple(placements)
 
 

@@ -9,6 +9,7 @@ lies in it counts.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Protocol
@@ -30,6 +31,8 @@ from yolov5_lifecycle.spatial.box_samples import (
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import MIN_DEPTH_M, DepthImage
 
+MAX_BOXES_AT_ONCE = 64
+"""More boxes are looked at in several passes, so that the arrays stay small."""
 _BIN_WIDTH = math.log(1.025)
 """Depths are counted in bins of 2.5 %, so that near and far objects are resolved equally well."""
 _MIN_RING_SHARE = 0.25
@@ -102,18 +105,34 @@ class ObjectMasks(Protocol):
         """Which pixels (r, c) in `rows` (r,) and `columns` (c,) of the image a detection's mask has."""
 
 
-def surfaces_m(
-    depth: DepthImage,
-    boxes_xyxy: NDArray[np.float32],
-    camera: Intrinsics,
-    masks: ObjectMasks | None = None,
-) -> Array:
-    """Depth in metres (n, SIDE, SIDE) of the surface of the object in each of the boxes (n, 4).
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What the samples of n boxes show, evenly spread over the box, row by row."""
 
-    The samples are evenly spread over the box, row by row; NaN where the object is not seen. Boxes are
-    finite corners in pixels of the depth image, `masks` those of the same objects in an image of its size. A
-    mask in which no object is found does not count, but an object that has no depth in its mask has none.
+    metres: Array
+    """(n, SIDE, SIDE) depth of the object's surface, NaN where it is not seen."""
+    beside_m: Array
+    """(n, SIDE, SIDE) depth of what is not the object, NaN elsewhere."""
+
+
+def surfaces_in(
+    boxes_xyxy: NDArray[np.float32], depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None = None
+) -> Iterator[tuple[slice, Surfaces]]:
+    """The surfaces of the objects in the boxes (n, 4), for at most MAX_BOXES_AT_ONCE at a time.
+
+    Boxes are finite corners in pixels of the depth image, `masks` those of the same objects in an image of
+    its size. A mask in which no object is found does not count, but an object that has no depth in its mask
+    has none.
     """
+    for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
+        rows = np.arange(first, min(first + MAX_BOXES_AT_ONCE, len(boxes_xyxy)))
+        of_rows = None if masks is None else masks.of(rows)
+        yield slice(first, first + len(rows)), _surfaces_of(boxes_xyxy[rows], depth, camera, of_rows)
+
+
+def _surfaces_of(
+    boxes_xyxy: NDArray[np.float32], depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None
+) -> Surfaces:
     samples = sampled(depth, boxes_xyxy, camera)
     bins = _bins(samples.metres)
     foreground = np.where(is_background(samples), np.int32(_NO_BIN), bins)
@@ -128,8 +147,9 @@ def surfaces_m(
         if not is_done.all():
             left = ~is_done
             is_surface[left], is_done[left] = find(foreground[left], bins[left], is_counted[left], evidence)
-    metres = np.where(is_surface, inside(samples.metres), np.float32(np.nan))
-    return _without_outliers(metres)
+    in_box = inside(samples.metres)
+    metres = np.where(is_surface, in_box, np.float32(np.nan))
+    return Surfaces(_without_outliers(metres), np.where(is_surface, np.float32(np.nan), in_box))
 
 
 def _in_masks(masks: ObjectMasks, samples: BoxSamples) -> tuple[Flags, Flags]:

@@ -76,7 +76,7 @@ ACTIVE: dict[str, Any] = {
 CAMERA: dict[str, Any] = {
     "name": "",
     "counter": FrameCounter(),
-    "outputs": SimpleNamespace(subscribers_3d=1, mask_subscribers=1),
+    "outputs": SimpleNamespace(subscribers_in_space={"~/detections_3d": 1}, mask_subscribers=1),
     "last_problem": ("", 0.0),
     "recent_failure": "",
 }
@@ -86,7 +86,7 @@ BLIND_RUN = EmptyRun(frames=152, begun_s=5.0, ended_s=6.0 + EMPTY_S, best_missed
 IDLE = "idle (lazy): no subscribers to ~/detections or ~/image, so no images are received"
 LAZY = SimpleNamespace(**INPUT | {"reliability": None})
 NO_MASKS = SimpleNamespace(model=SimpleNamespace(detector=SimpleNamespace(segments=False)))
-UNWATCHED = SimpleNamespace(subscribers_3d=1, mask_subscribers=0)
+UNWATCHED = SimpleNamespace(subscribers_in_space={"~/points": 1}, mask_subscribers=0)
 
 
 def with_camera(topic: TopicStatus = TOPIC, **changes: Any) -> Status:
@@ -220,6 +220,11 @@ OF_CLASSES = Settings(confidence_threshold=0.9, class_thresholds=("person: 0.8",
             with_camera(depth=None),
             "~/detections_3d has a subscriber, but nothing is published on it: set depth to true",
             id="depth-is-off",
+        ),
+        pytest.param(
+            with_camera(depth=None, outputs=UNWATCHED),
+            "~/points has a subscriber, but nothing is published on it: set depth to true",
+            id="depth-is-off-for-points",
         ),
         pytest.param(
             replace(GOOD, state="unconfigured"),

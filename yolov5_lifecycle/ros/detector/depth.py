@@ -28,10 +28,13 @@ from yolov5_lifecycle.spatial.surface import ObjectMasks
 
 @dataclass(frozen=True)
 class PlacedImage:
-    """Places of the detections in one image, and their coordinate frame."""
+    """Places of the detections in one image, and with what they were found."""
 
     placements: tuple[Placement, ...]
     frame_id: str
+    """Coordinate frame of the depth image."""
+    depth: DepthImage
+    camera: Intrinsics
 
     @property
     def distances_m(self) -> list[float | None]:
@@ -196,13 +199,14 @@ class DepthInput:
         if len(frames) > 1:
             self._count_unplaced(count, Unplaced.OTHER_CAMERA, _of_another_camera(header.frame_id, frame_id))
             return None
+        assert intrinsics is not None
         placements = place(boxes_xyxy, image_size_hw, depth, intrinsics, masks)
         for placement in placements:
             name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
             self.counts[name] += 1
         self.counts[_WITH_DEPTH] += 1
         self.run = None
-        return PlacedImage(placements, frame_id or header.frame_id)
+        return PlacedImage(placements, frame_id or header.frame_id, depth, intrinsics)
 
     def _is_rectified(self) -> bool:
         """By the name of the depth images, as image_proc and drivers give it: image_rect, image_rect_raw."""

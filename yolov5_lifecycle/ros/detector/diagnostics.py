@@ -21,7 +21,7 @@ from yolov5_lifecycle.printable import in_lines
 from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
 from yolov5_lifecycle.ros.detector.session import ActiveCamera, DetectorCamera
-from yolov5_lifecycle.ros.topics import DETECTIONS, DETECTIONS_3D, IMAGE, MASKS, of_camera
+from yolov5_lifecycle.ros.topics import DETECTIONS, IMAGE, MASKS, of_camera
 from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun
@@ -97,8 +97,9 @@ class CameraStatus:
         active, outputs, name = self.camera.active, self.camera.outputs, self.camera.name
         if active is None or outputs is None:
             return ""
-        if outputs.subscribers_3d and active.depth is None:
-            topic = of_camera(DETECTIONS_3D, name)
+        in_space = [topic for topic, count in outputs.subscribers_in_space.items() if count]
+        if in_space and active.depth is None:
+            topic = of_camera(in_space[0], name)
             return f"{topic} has a subscriber, but nothing is published on it: set depth to true"
         if outputs.mask_subscribers and not active.session.model.detector.segments:
             topic = of_camera(MASKS, name)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray, Detection3DArray, LabelInfo
 
@@ -35,10 +35,12 @@ from yolov5_lifecycle.ros.topics import (
     IMAGE,
     LABEL_INFO,
     MASKS,
+    POINTS,
     endpoint_name,
     of_camera,
     overriding_options,
 )
+from yolov5_lifecycle.spatial.points import SurfacePoints, surface_points
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, LatencyWindow
 from yolov5_lifecycle.streaming.inference_threads import Send
 from yolov5_lifecycle.tracking.byte_tracker import TrackedDetection
@@ -64,6 +66,26 @@ class LastImage:
 
 
 @dataclass(frozen=True)
+class PointsWanted:
+    """Which points of detected objects are published."""
+
+    class_ids: frozenset[int] | None = None
+    """None: of all classes."""
+    spacing_m: float = 0.0
+    """See `surface_points`."""
+
+    def of(self, detections: Detections, placed: PlacedImage) -> SurfacePoints:
+        """Those on the surfaces of `detections`, with the indices of these as boxes."""
+        is_wanted = [self.class_ids is None or one in self.class_ids for one in detections.class_ids.tolist()]
+        rows = np.flatnonzero(is_wanted)
+        wanted = detections[rows]
+        points = surface_points(
+            wanted.boxes_xyxy, placed.depth, placed.camera, wanted.masks, spacing_m=self.spacing_m
+        )
+        return replace(points, boxes=rows[points.boxes])
+
+
+@dataclass(frozen=True)
 class CameraPipeline:
     """One running configuration; immutable, so each frame uses exactly one. A change creates a new one.
 
@@ -78,6 +100,7 @@ class CameraPipeline:
     last_image: LastImage
     depth: DepthInput | None
     """None while the setting `depth` is false."""
+    points: PointsWanted = PointsWanted()
     tracking: TrackedDetection | None = None
     collecting: CameraCollecting | None = None
     """None while the setting `collect` is false."""
@@ -110,7 +133,7 @@ class CameraPipeline:
         """
         outputs = self.outputs
         subscribers = outputs.mask_subscribers + outputs.image_subscribers
-        subscribers += 0 if self.depth is None else outputs.subscribers_3d
+        subscribers += 0 if self.depth is None else outputs.place_subscribers
         selection = replace(self._selected, with_masks=subscribers > 0)
         return selection if self.collecting is None else self.collecting.wanted(selection)
 
@@ -120,7 +143,7 @@ class CameraPipeline:
         return self.selection if self.tracking is None else self.tracking.wider(self.selection)
 
     def messages(self, result: DetectedFrame) -> Iterator[Send]:
-        """The detections, then for subscribers their places, masks and the annotated image.
+        """The detections, then for subscribers their places, points, masks and the annotated image.
 
         The tracker is updated first: a tracker is used by frames of one network only, so not by two threads.
         """
@@ -139,17 +162,30 @@ class CameraPipeline:
         )
         # An image without depth gets no message: an empty one would mean that there are no objects.
         placed: PlacedImage | None = None
-        if self.depth is not None and self.outputs.subscribers_3d + self.outputs.image_subscribers > 0:
+        if self.depth is not None and self.outputs.place_subscribers > 0:
             size_hw = result.image.size_hw
             placed = self.depth.place(detections.boxes_xyxy, size_hw, header, detections.masks)
-        if placed is not None and self.outputs.subscribers_3d > 0:
-            message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
-            yield partial(self.outputs.detections_3d.publish, message)
+        if placed is not None:
+            yield from self._in_space(placed, detections, array, result.image)
         yield from self._images(result, detections, placed.distances_m if placed else ())
         if self.collecting is not None:
             jpeg = messages.jpeg_of_message(result.frame.message, result.image)
             origin = Origin(header.frame_id, header.stamp.sec, header.stamp.nanosec)
             self.collecting.look(result.found, detections, result.image, jpeg, origin)
+
+    def _in_space(
+        self, placed: PlacedImage, detections: Detections, array: Detection2DArray, image: ColourImage
+    ) -> Iterator[Send]:
+        """The detections in space and their points, each if it has a subscriber."""
+        outputs = self.outputs
+        if outputs.subscribers_in_space[DETECTIONS_3D]:
+            message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
+            yield partial(outputs.detections_3d.publish, message)
+        if outputs.subscribers_in_space[POINTS]:
+            header = Header(stamp=array.header.stamp, frame_id=placed.frame_id)
+            points = self.points.of(detections, placed)
+            cloud = messages.point_cloud_message(points, detections, image, header)
+            yield partial(outputs.points.publish, cloud)
 
     def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
@@ -183,7 +219,7 @@ def label_info_publisher(node: LifecycleNode) -> LifecyclePublisher:
 
 @dataclass(eq=False)
 class Outputs:
-    """Owns the publishers of a camera's detections, masks and annotated images.
+    """Owns the publishers of a camera's detections, points, masks and annotated images.
 
     `camera`: see `of_camera`. `on_subscribers_changed()` is called in the executor when a subscriber joins or
     leaves.
@@ -202,6 +238,7 @@ class Outputs:
         try:
             self.detections = self._publisher(Detection2DArray, DETECTIONS, depth=10)
             self.detections_3d = self._publisher(Detection3DArray, DETECTIONS_3D, depth=10)
+            self.points = self._publisher(PointCloud2, POINTS, depth=1)
             self._masks = self._publisher(Image, MASKS, depth=1)
             self._image = self._publisher(Image, IMAGE, depth=1)
             self._compressed_image = self._publisher(CompressedImage, COMPRESSED_IMAGE, depth=1)
@@ -210,16 +247,22 @@ class Outputs:
             raise
 
     def subscribers(self, *, with_depth: bool, with_masks: bool) -> int:
-        """Number of subscriptions that need inference: to every output, to these two only if they exist."""
-        absent = [] if with_depth else [self.detections_3d]
+        """Number of subscriptions that need inference: to outputs in space and masks only if these exist."""
+        absent = [] if with_depth else [self.detections_3d, self.points]
         absent += [] if with_masks else [self._masks]
         needed = (publisher for publisher in self._publishers if publisher not in absent)
         return sum(publisher.get_subscription_count() for publisher in needed)
 
     @property
-    def subscribers_3d(self) -> int:
-        """Number of subscriptions to detections in space."""
-        return int(self.detections_3d.get_subscription_count())
+    def subscribers_in_space(self) -> dict[str, int]:
+        """Number of subscriptions to detections and to points in space, by topic."""
+        publishers = {DETECTIONS_3D: self.detections_3d, POINTS: self.points}
+        return {topic: int(publisher.get_subscription_count()) for topic, publisher in publishers.items()}
+
+    @property
+    def place_subscribers(self) -> int:
+        """Number of subscriptions that need to know where detections are: distances are drawn, too."""
+        return self.image_subscribers + sum(self.subscribers_in_space.values())
 
     @property
     def mask_subscribers(self) -> int:

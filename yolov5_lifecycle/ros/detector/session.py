@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 
 from yolov5_lifecycle.collecting.candidate import CollectRules
 from yolov5_lifecycle.collecting.collector import CameraCollecting, Collector
-from yolov5_lifecycle.detection.class_filter import model_problems, selection_of
+from yolov5_lifecycle.detection.class_filter import class_ids, model_problems, selection_of
 from yolov5_lifecycle.detection.messages import label_info
 from yolov5_lifecycle.detection.nms import Selection
 from yolov5_lifecycle.detection.prepared_model import PreparedModel
@@ -23,7 +23,7 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_topic
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
-from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage, Outputs
+from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage, Outputs, PointsWanted
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings
@@ -182,8 +182,7 @@ class ActiveCamera:
         )
         self.input.follow(self.camera.topic if is_needed else None, self.settings.image_reliability)
         if self.depth is not None:
-            viewers = outputs.subscribers_3d + outputs.image_subscribers
-            self.depth.follow(is_needed=not self.settings.lazy or viewers > 0)
+            self.depth.follow(is_needed=not self.settings.lazy or outputs.place_subscribers > 0)
 
     def unsubscribe(self) -> None:
         """Receive no more images."""
@@ -222,7 +221,8 @@ class ActiveCamera:
         """Process the next frame with the present settings and model."""
         model, settings = self.session.model, self.settings
         self.camera.use(settings.image_transport)
-        selected = selection_of(settings, model.detector.class_names)
+        class_names = model.detector.class_names
+        selected = selection_of(settings, class_names)
         self.empty_frames = EmptyFrames()
         self._follow_depth()
         self._follow_collecting(selected, model)
@@ -234,6 +234,7 @@ class ActiveCamera:
             empty_frames=self.empty_frames,
             last_image=self.camera.last_image,
             depth=self.depth,
+            points=PointsWanted(class_ids(settings.points_classes, class_names), settings.points_spacing_m),
             tracking=self._tracking,
             collecting=self.collecting,
         )
