@@ -139,6 +139,11 @@ def point_cloud_message(
     )
 
 
+def points_of_cloud(cloud: PointCloud2) -> NDArray[Any]:
+    """A record (n,) for each point in a message of `point_cloud_message`, with its fields."""
+    return np.frombuffer(cloud.data, _POINT)
+
+
 def stamp_ns(header: Header) -> int:
     """Stamp in nanoseconds."""
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)

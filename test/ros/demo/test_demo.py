@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 from vision_msgs.msg import (
     Detection2D,
@@ -23,12 +23,22 @@ from vision_msgs.msg import (
     ObjectHypothesisWithPose,
 )
 
+from yolov5_lifecycle.detection.detections import Detections
+from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
 from yolov5_lifecycle.ros.demo.command import main
-from yolov5_lifecycle.ros.demo.demonstrations import figures, mask_ious, matched, side_by_side
+from yolov5_lifecycle.ros.demo.demonstrations import (
+    figures,
+    from_above,
+    mask_ious,
+    matched,
+    points_near,
+    side_by_side,
+)
 from yolov5_lifecycle.ros.demo.stage import saved
-from yolov5_lifecycle.ros.messages import image_message
+from yolov5_lifecycle.ros.messages import image_message, point_cloud_message
 from yolov5_lifecycle.ros.observer import PATIENCE_S
+from yolov5_lifecycle.spatial.points import SurfacePoints
 
 Objects = Sequence[tuple[str, float]]
 """Class and left edge of squares of 10 pixels."""
@@ -73,7 +83,7 @@ def frame(
     ("words", "image", "size_hw"),
     [
         pytest.param([], "annotated.png", (480, 640), id="one camera"),
-        pytest.param(["--cameras"], "cameras.png", (388, 888), id="two cameras"),
+        pytest.param(["--cameras"], "cameras.png", (388, 1624), id="two cameras"),
     ],
 )
 def test_the_demo_passes_and_leaves_its_image(
@@ -161,6 +171,28 @@ def test_the_pixels_of_objects_that_belong_together_are_compared() -> None:
 )
 def test_the_figures_show_what_is_wrong(changed: tuple[Any, ...], expected: tuple[float, int, float]) -> None:
     assert figures([frame(), changed]) == pytest.approx(expected)
+
+
+def cloud_of(xyz_m: Sequence[Sequence[float]], detections: Sequence[int]) -> PointCloud2:
+    """Green points of the detections of TRUTH."""
+    green = ColourImage(np.full((1, 1, 3), (0, 255, 0), np.uint8), "bgr")
+    nowhere = np.zeros(len(xyz_m), np.intp)
+    points = SurfacePoints(np.array(xyz_m, np.float32), nowhere, nowhere, np.array(detections))
+    found = Detections(np.zeros((3, 4), np.float32), np.full(3, 0.9, np.float32), np.zeros(3, np.int64))
+    return point_cloud_message(points, found, green, Header())
+
+
+def test_points_count_beside_the_true_place_of_their_own_object() -> None:
+    _, *of_image = frame()
+    at_both = [(0, 0, 1.0), (0.04, 0, 2.04), (0, 0.06, 2.0), (0, 0, 1.0)]
+    assert points_near([(*of_image, cloud_of(at_both, (0, 1, 1, 1)))]) == 0.5
+    assert points_near([]) == 0
+
+
+def test_points_are_shown_from_above_the_camera_below() -> None:
+    seen = from_above(cloud_of([(0.1, 5, 1.8), (1.1, 0, 3.5), (0, 0, 9)], (0, 0, 0)))
+    rows, columns = np.nonzero((seen == (0, 255, 0)).all(axis=2))
+    assert {*zip((rows // 90).tolist(), (columns // 90).tolist(), strict=True)} == {(2, 2), (0, 3)}
 
 
 def test_the_image_shows_both_images_below_their_names(

@@ -10,11 +10,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 from vision_msgs.msg import Detection2DArray, Detection3DArray
 
 from yolov5_lifecycle.printable import shell_command
 from yolov5_lifecycle.ros.demo.stage import CONFIG, DETECTOR, Commands, Received, Stage, saved
+from yolov5_lifecycle.ros.messages import points_of_cloud
 from yolov5_lifecycle.tracking.assignment import iou_matrix
 
 MATCHING_IOU = 0.5
@@ -31,6 +32,8 @@ TWO_CAMERAS: Commands = {
 }
 _FOUND, _TRUTH = f"{DETECTOR}/detections", "/camera/truth"
 _MASKS, _TRUE_MASKS = f"{DETECTOR}/masks", "/camera/ground_truth_masks"
+NEAR_M = 0.05
+_PX_PER_M = 90
 _NOWHERE = np.full(3, np.inf)
 _TITLE_PX, _GAP_PX = 28, 8
 _PAPER, _INK = (255, 255, 255), (40, 40, 40)
@@ -120,6 +123,7 @@ def two_cameras(stage: Stage) -> str:
             stage.collect(Detection3DArray, f"/{name}/ground_truth_3d"),
             stage.collect(Detection2DArray, f"{DETECTOR}/{name}/detections"),
             stage.collect(Detection3DArray, f"{DETECTOR}/{name}/detections_3d"),
+            stage.collect(PointCloud2, f"{DETECTOR}/{name}/points"),
         )
         for name in ("front", "rear")
     }
@@ -128,14 +132,18 @@ def two_cameras(stage: Stage) -> str:
     stage.report("watching 100 images of each camera")
     known = {name: stage.frames(100, *record, since_ns=0) for name, record in records.items()}
     frames = [(name, *each) for name, of_one in known.items() for each in of_one.values()]
-    recall, switches, error = figures(frames)
+    recall, switches, error = figures([frame[:5] for frame in frames])
+    near = points_near([frame[1:] for frame in frames])
     stage.check(recall >= 0.9, f"{recall:.1%} of the shapes found", "at least 90 %")
     stage.check(switches == 0, f"{switches} identity switches", "none")
     stage.check(error <= 0.02, f"median error in space {error:.2%}", "at most 2 %")
+    stage.check(near >= 0.95, f"{near:.1%} of the points at their shapes", "at least 95 %")
     images = {
         name: stage.annotated_image(f"{DETECTOR}/{name}/image", places)
-        for name, (_, _, _, places) in records.items()
+        for name, (_, _, _, places, _) in records.items()
     }
+    for name, (*_, clouds) in records.items():
+        images[f"{name} from above"] = from_above(max(clouds.values(), key=lambda cloud: int(cloud.width)))
     path = saved(side_by_side(images), "cameras.png")
     stage.transition("deactivate")
     stage.transition("cleanup")
@@ -163,6 +171,36 @@ def figures(frames: Sequence[tuple[Any, ...]]) -> tuple[float, int, float]:
     objects, tracks = {(camera, name) for camera, name, _ in tracked}, {track for *_, track in tracked}
     switches = len(tracked) - min(len(objects), len(tracks))
     return found / max(true, 1), switches, float(np.median(errors or [np.inf]))
+
+
+def points_near(frames: Sequence[tuple[Any, ...]]) -> float:
+    """Share of the points that are at most NEAR_M beside the box in space of the true object.
+
+    `frames` are what is there in an image and in space, what is found, likewise, and its points; only points
+    of objects that are found count.
+    """
+    near = []
+    for truth, true_places, seen, _, cloud in frames:
+        points, places = points_of_cloud(cloud), {one.id: one.bbox for one in true_places.detections}
+        for true_row, row in matched(truth, seen):
+            box = places[truth.detections[true_row].id]
+            centre, size = (
+                [getattr(each, axis) for axis in "xyz"] for each in (box.center.position, box.size)
+            )
+            found = points[points["detection"] == row]
+            beside_m = abs(np.stack([found[axis] for axis in "xyz"], axis=1) - centre) - np.array(size) / 2
+            near.append((beside_m <= NEAR_M).all(axis=1))
+    return float(np.concatenate(near).mean()) if near else 0.0
+
+
+def from_above(cloud: PointCloud2) -> NDArray[np.uint8]:
+    """The points as from above (H, W, 3) in BGR, the camera in the middle of the lower edge, on white."""
+    points, seen = points_of_cloud(cloud), np.full((4 * _PX_PER_M, 4 * _PX_PER_M, 3), 255, np.uint8)
+    ahead, right = (np.rint(points[axis] * _PX_PER_M).astype(int) for axis in "zx")
+    bgr = np.ascontiguousarray(points["rgb"]).view(np.uint8).reshape(-1, 4)[:, :3]
+    inside = (ahead < len(seen)) & (abs(right) < len(seen) // 2)
+    seen[-1 - ahead[inside], right[inside] + len(seen) // 2] = bgr[inside]
+    return np.asarray(cv2.erode(seen, np.ones((2, 2))), np.uint8)  # larger points
 
 
 def _centres_by_id(message: Detection3DArray) -> dict[str, NDArray[np.float64]]:
