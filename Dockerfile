@@ -40,7 +40,7 @@ FROM ${BASE}
 RUN apt-get update \
  && apt-get install -y --no-install-recommends \
       python3-numpy python3-opencv python3-scipy python3-yaml \
-      ros-jazzy-bond ros-jazzy-rmw-fastrtps-cpp ros-jazzy-vision-msgs \
+      ros-jazzy-bond ros-jazzy-rmw-fastrtps-cpp ros-jazzy-tf2-ros-py ros-jazzy-vision-msgs \
  && rm -rf /var/lib/apt/lists/*
 COPY --from=build /opt/venv /opt/venv
 COPY --from=build /workspace/install /workspace/install

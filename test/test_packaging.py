@@ -26,6 +26,7 @@ SHARED_FOLDERS = ("config", "launch", "weights")
 TYPED_COMMANDS = {"ros2launch"}
 """Nobody imports it: it is where `ros2` has the word from that starts the launch files."""
 MODULE_OF_APT = {"python3-numpy": "numpy", "python3-opencv": "cv2", "python3-yaml": "yaml"}
+MODULE_OF_ROS = {"tf2_ros_py": "tf2_ros"}
 MODULE_OF_PIP = {"opencv-python-headless": "cv2", "pyyaml": "yaml", "backports.zstd": "backports"}
 OF_CONDA = {"torch": "pytorch", "opencv-python-headless": "py-opencv"}
 SETS = {
@@ -133,7 +134,7 @@ def keys_of_apt() -> set[str]:
 
 
 def ros_packages() -> set[str]:
-    return exec_depends() - keys_of_apt()
+    return {MODULE_OF_ROS.get(name, name) for name in exec_depends() - keys_of_apt()}
 
 
 def pip_requirements() -> dict[str, str]:
@@ -195,7 +196,7 @@ def declared_requirements() -> list[Requirement]:
 
 
 def test_pixi_installs_what_the_manifest_asks_for_and_what_setup_does_in_the_same_versions() -> None:
-    packages = {f"ros-jazzy-{key.replace('_', '-')}" for key in ros_packages()}
+    packages = {f"ros-jazzy-{key.replace('_', '-')}" for key in exec_depends() - keys_of_apt()}
     assert packages <= pixi_dependencies().keys()
     ranges = {
         OF_CONDA.get(name, name): str(each.specifier) or "*"

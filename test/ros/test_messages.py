@@ -21,6 +21,7 @@ from yolov5_lifecycle.ros.messages import (
     detection_array,
     image_message,
     point_cloud_message,
+    point_records,
 )
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced
 from yolov5_lifecycle.spatial.points import SurfacePoints
@@ -75,7 +76,7 @@ def test_a_cloud_has_each_point_with_its_colour_and_detection(channel_order: Cha
         boxes=np.array([1, 1]),
     )
     header = Header(stamp=Time(sec=7, nanosec=8), frame_id="depth_optical_frame")
-    message = point_cloud_message(points, FOUND, ColourImage(shown, channel_order), header)
+    message = point_cloud_message(point_records(points, FOUND, ColourImage(shown, channel_order)), header)
     cloud = deserialize_message(serialize_message(message), PointCloud2)
     assert (cloud.header, cloud.height, cloud.width, cloud.is_dense) == (header, 1, 2, True)
     values = points_of(cloud)

@@ -23,6 +23,7 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
@@ -34,6 +35,7 @@ from vision_msgs.msg import Detection2DArray, LabelInfo
 from yolov5_lifecycle.detection.prepared_model import Prepare
 from yolov5_lifecycle.ros.detector.node import DetectorNode
 from yolov5_lifecycle.ros.detector.session import REST_TIMEOUT_S
+from yolov5_lifecycle.ros.detector.transforms import Tf2, Transforms
 from yolov5_lifecycle.ros.observer import PATIENCE_S, Observer
 
 _SERVICES = {
@@ -62,6 +64,7 @@ class ServedNode:
         parameters: Sequence[str] = (),
         arguments: Sequence[str] = (),
         rest_timeout_s: float = REST_TIMEOUT_S,
+        listen: Callable[[Node], Transforms] = Tf2,
     ) -> None:
         """`parameters` are `name:=value`; `arguments` are further words of the command line."""
         # A node of an earlier test, still in a reference cycle, would keep the publisher of /rosout, which
@@ -73,6 +76,7 @@ class ServedNode:
         self.node = DetectorNode(
             prepare=prepare,
             rest_timeout_s=rest_timeout_s,
+            listen=listen,
             diagnostics_period_s=0.1,
             context=self.client.context,
             cli_args=words,

@@ -61,4 +61,5 @@ def _distribution() -> str:
 
 def apt_package_of(ros_package: str) -> str:
     """The package of apt that holds `ros_package`, in the distribution that this environment has sourced."""
-    return f"ros-{_distribution()}-{ros_package.replace('_', '-')}"
+    package = {"tf2_ros": "tf2_ros_py"}.get(ros_package, ros_package)
+    return f"ros-{_distribution()}-{package.replace('_', '-')}"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import vision_msgs.msg
+from geometry_msgs.msg import Transform
 from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
@@ -77,25 +78,45 @@ def detection_array(detections: Detections, class_names: Sequence[str], header: 
 
 
 def detection_3d_array_message(
-    detections: Detection2DArray, placements: Sequence[Placement], frame_id: str
+    detections: Detection2DArray,
+    placements: Sequence[Placement],
+    frame_id: str,
+    transform: Transform | None = None,
 ) -> Detection3DArray:
     """Detection3DArray message of those `detections` that have a place in space, one placement for each.
 
     Stamp, order, ids, classes and scores are those of `detections`; `frame_id` is the optical frame of the
-    depth image. Raises ValueError when there are not as many placements as detections.
+    depth image, or where `transform` leads from there. Raises ValueError when there are not as many
+    placements as detections.
     """
-    header = Header(stamp=detections.header.stamp, frame_id=frame_id)
+    header, transform = Header(stamp=detections.header.stamp, frame_id=frame_id), transform or Transform()
     placed = [
-        _detection_3d(detection, placement, header)
+        _detection_3d(detection, placement, header, transform)
         for detection, placement in zip(detections.detections, placements, strict=True)
         if isinstance(placement, Box3D)
     ]
     return Detection3DArray(header=header, detections=placed)
 
 
-def _detection_3d(detection: Detection2D, box: Box3D, header: Header) -> Detection3D:
+def moved(xyz_m: NDArray[np.floating], transform: Transform) -> NDArray[np.float64]:
+    """Points (n, 3) in the frame to which `transform` leads."""
+    turn, shift = transform.rotation, transform.translation
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    rotation = np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
+    return np.asarray(xyz_m @ rotation.T + (shift.x, shift.y, shift.z), np.float64)
+
+
+def _detection_3d(detection: Detection2D, box: Box3D, header: Header, transform: Transform) -> Detection3D:
     bbox = BoundingBox3D()
-    bbox.center.position.x, bbox.center.position.y, bbox.center.position.z = box.centre_xyz_m
+    position, ((x, y, z),) = bbox.center.position, moved(np.array([box.centre_xyz_m]), transform).tolist()
+    position.x, position.y, position.z = x, y, z
+    bbox.center.orientation = transform.rotation  # the box stays parallel to the axes of the camera
     bbox.size.x, bbox.size.y, bbox.size.z = box.size_xyz_m
     results = [ObjectHypothesisWithPose(hypothesis=result.hypothesis) for result in detection.results]
     for result in results:
@@ -109,32 +130,43 @@ _POINT = np.dtype(
 _DATATYPES = {np.dtype("<f4"): PointField.FLOAT32, np.dtype("<u4"): PointField.UINT32}
 
 
-def point_cloud_message(
-    points: SurfacePoints, detections: Detections, image: ColourImage, header: Header
-) -> PointCloud2:
-    """Cloud of points on the surfaces of `detections`, whose boxes the points name; coloured as in `image`.
+def point_records(points: SurfacePoints, detections: Detections, image: ColourImage) -> NDArray[Any]:
+    """A record (n,) for each point on the surfaces of `detections`; it has its colour in their `image`.
 
     `rgb` has the three bytes of a colour in the bits of a float, as PCL and RViz expect it.
     """
-    cloud = np.empty(len(points.boxes), _POINT)
-    cloud["x"], cloud["y"], cloud["z"] = points.xyz_m.T
+    records = np.empty(len(points.boxes), _POINT)
+    records["x"], records["y"], records["z"] = points.xyz_m.T
     colours = image.pixels[points.rows, points.columns].astype(np.uint32)
     blue, green, red = colours.T if image.channel_order == "bgr" else colours.T[::-1]
-    cloud["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
-    cloud["detection"] = points.boxes
-    cloud["class_id"], cloud["score"] = detections.class_ids[points.boxes], detections.scores[points.boxes]
+    records["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
+    records["detection"] = points.boxes
+    records["class_id"], records["score"] = (
+        detections.class_ids[points.boxes],
+        detections.scores[points.boxes],
+    )
+    return records
+
+
+def point_cloud_message(
+    records: NDArray[Any], header: Header, transform: Transform | None = None
+) -> PointCloud2:
+    """Cloud of `point_records` in the frame of `header`, to which `transform` leads, in place."""
+    if transform is not None:
+        xyz_m = np.stack([records[axis] for axis in "xyz"], axis=1)
+        records["x"], records["y"], records["z"] = moved(xyz_m, transform).T
     return PointCloud2(
         header=header,
         height=1,
-        width=len(cloud),
+        width=len(records),
         fields=[
             PointField(name=name, offset=offset, datatype=_DATATYPES[dtype], count=1)
             for name, (dtype, offset, *_) in (_POINT.fields or {}).items()
         ],
         is_bigendian=False,
         point_step=_POINT.itemsize,
-        row_step=cloud.nbytes,
-        data=_array_of(cloud.view(np.uint8)),
+        row_step=records.nbytes,
+        data=_array_of(records.view(np.uint8)),
         is_dense=True,
     )
 

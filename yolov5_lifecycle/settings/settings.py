@@ -194,6 +194,18 @@ class Settings(BaseModel):
         le=10,
         description="Largest difference in seconds between the stamps of an image and of its depth image.",
     )
+    target_frame: Annotated[str, Change.LIVE, Scope.CAMERA] = Field(
+        "",
+        max_length=256,
+        description="Frame of ~/detections_3d and ~/points, such as base_link or map, by tf2. Empty: that of "
+        "the camera.",
+    )
+    transform_timeout_s: Annotated[float, Change.LIVE, Scope.CAMERA] = Field(
+        0.5,
+        ge=0,
+        le=10,
+        description="How long results in space wait for the transform to target_frame at their stamp.",
+    )
     points_classes: Annotated[tuple[str, ...], Change.LIVE, Scope.CAMERA] = Field(
         (),
         max_length=10_000,

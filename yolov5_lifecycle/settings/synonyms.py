@@ -19,6 +19,7 @@ SYNONYMS = {
     "model_path": "weights",
     "weights_url": "weights",
     "use_3d": "depth",
+    "working_frame": "target_frame",
     "use_tracking": "tracker",
     "minimum_probability": "confidence_threshold",
     "interested_classes": "classes",
@@ -32,7 +33,6 @@ _TOPIC = "topics are remapped: -r '~/image_raw:=/camera/image_raw'."
 _DEPTH_TOPICS = (
     "topics are remapped: -r '~/depth/image_raw:=/camera/depth/image_raw', and ~/depth/camera_info."
 )
-_FRAME = "~/detections_3d is in the frame of the depth image: transform it with tf2."
 _OFFERED = "none is needed, because the reliability of depth is that of its publishers."
 _IN_PIXELS = "none is needed, because detections are in pixels; depth has its own, on ~/depth/camera_info."
 _NO_LIMIT = "none is needed, because the surface of an object is found without a limit in metres."
@@ -55,8 +55,6 @@ NOT_SETTINGS = {
     "input_depth_topic": _DEPTH_TOPICS,
     "input_depth_info_topic": _DEPTH_TOPICS,
     "point_cloud_topic": _DEPTH_TOPICS,
-    "target_frame": _FRAME,
-    "working_frame": _FRAME,
     "maximum_detection_threshold": _NO_LIMIT,
     "depth_image_units_divisor": _ENCODED,
     "depth_image_reliability": _OFFERED,

@@ -135,6 +135,13 @@ def _region_problem(text: str) -> str:
     return ""
 
 
+def frame(value: str) -> str:
+    """Name of a frame of tf2."""
+    if value.startswith("/") or not value.isprintable() or value != value.strip():
+        raise violation("must be the name of a frame without a leading slash, such as base_link.")
+    return value
+
+
 def cameras(value: tuple[str, ...], settings: Collection[str]) -> tuple[str, ...]:
     """Names of cameras; `settings` are the names of the settings."""
     if rule := camera_names_rule(value, settings):
@@ -148,6 +155,7 @@ RULES: Mapping[str, Rule] = {
     "device": device,
     "classes": classes,
     "points_classes": classes,
+    "target_frame": frame,
     "class_thresholds": thresholds_of_classes,
     "regions": regions,
     "ignore_regions": regions,

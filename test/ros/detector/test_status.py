@@ -71,6 +71,7 @@ ACTIVE: dict[str, Any] = {
     "empty_frames": SimpleNamespace(run=EmptyRun()),
     "tracker_values": lambda: {"tracker": "bytetrack"},
     "busy_s": 0.0,
+    "frame": None,
     "collecting_problem": "",
 }
 CAMERA: dict[str, Any] = {

@@ -89,7 +89,8 @@ class CameraStatus:
             return failure
         if problem := active.collecting_problem:
             return f"no images are collected: {problem}"
-        return active.depth.hint if active.depth else ""
+        hints = (each.hint for each in (active.depth, active.frame) if each is not None)
+        return next(filter(None, hints), "")
 
     @property
     def remark(self) -> str:
@@ -137,7 +138,9 @@ def _active_values(active: ActiveCamera) -> dict[str, str]:
     values["latency p95 ms"] = f"{latency.p95_ms:.1f}"
     values["empty frames in a row"] = str(empty.frames)
     values["best score in them"] = f"{empty.best_missed:.2g}"
-    return values | active.tracker_values() | (active.depth.values() if active.depth else {})
+    for part in (active.depth, active.frame):
+        values |= part.values() if part is not None else {}
+    return values | active.tracker_values()
 
 
 def _emptiness(empty: EmptyRun, settings: Settings) -> str:

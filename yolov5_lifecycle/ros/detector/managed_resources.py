@@ -23,6 +23,7 @@ from yolov5_lifecycle.process.memory import resident_mb
 from yolov5_lifecycle.ros.detector.diagnostics import CameraStatus, Status
 from yolov5_lifecycle.ros.detector.pipeline import Outputs, label_info_publisher
 from yolov5_lifecycle.ros.detector.session import DetectorCamera, Preparation, Session
+from yolov5_lifecycle.ros.detector.transforms import Tf2, TransformInput, Transforms
 from yolov5_lifecycle.ros.nodes import namesakes
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.topics import topic_problems
@@ -92,6 +93,7 @@ class ManagedResources:
     on_too_many: Callable[[str], Awaitable[None]]
     on_device_lost: Callable[[str], None]
     rest_timeout_s: float
+    listen: Callable[[Node], Transforms] = Tf2
 
     def __post_init__(self) -> None:
         self._cameras: dict[str, DetectorCamera] = {}
@@ -314,6 +316,7 @@ class ManagedResources:
             collector=self._collector,
             on_too_many=self.on_too_many,
             on_device_lost=self.on_device_lost,
+            transforms=TransformInput(self.node, self.listen),
         )
 
 

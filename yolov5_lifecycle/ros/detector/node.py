@@ -10,6 +10,7 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 
 from yolov5_lifecycle.detection.prepared_model import Prepare, check_place, prepare_model
 from yolov5_lifecycle.printable import in_lines, in_one_line
@@ -18,6 +19,7 @@ from yolov5_lifecycle.ros.detector.diagnostics import Diagnostics, Status
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.reconfiguration import Reconfiguration
 from yolov5_lifecycle.ros.detector.session import MAX_ABANDONED_SESSIONS, REFUSALS, REST_TIMEOUT_S
+from yolov5_lifecycle.ros.detector.transforms import Tf2, Transforms
 from yolov5_lifecycle.ros.nodes import PrintableNode
 from yolov5_lifecycle.ros.parameters.settings_parameters import SettingsParameters
 from yolov5_lifecycle.ros.rclpy_internals import (
@@ -70,9 +72,10 @@ def requested_label(wanted: Any, possible: Sequence[tuple[Any, ...]]) -> str | N
 class DetectorNode(PrintableNode, LifecycleNode):
     """YOLOv5 as a managed node: maps its transitions and services to parameters, resources and diagnostics.
 
-    `prepare` creates a model from settings; tests pass their own. `start_problems` are parameter files that
-    could not be read and values that contradict each other: reported at once; configure fails until the
-    process is restarted.
+    `prepare` creates a model from settings, `listen` receives transforms; tests pass their own.
+
+    `start_problems` are parameter files that could not be read and values that contradict each other:
+    reported at once; configure fails until the process is restarted.
 
     A frame in progress is waited for `rest_timeout_s`; diagnostics come every `diagnostics_period_s`.
 
@@ -84,6 +87,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
         self,
         *,
         prepare: Prepare = prepare_model,
+        listen: Callable[[Node], Transforms] = Tf2,
         start_problems: Sequence[str] = (),
         rest_timeout_s: float = REST_TIMEOUT_S,
         diagnostics_period_s: float = 1.0,
@@ -103,6 +107,7 @@ class DetectorNode(PrintableNode, LifecycleNode):
             self,
             parameters=self._settings,
             prepare=prepare,
+            listen=listen,
             on_too_many=self._give_up,
             on_device_lost=self._lose_device,
             rest_timeout_s=rest_timeout_s,

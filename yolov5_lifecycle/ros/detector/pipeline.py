@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Transform
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
@@ -28,6 +30,7 @@ from yolov5_lifecycle.images.image import ColourImage, ImageError
 from yolov5_lifecycle.ros import messages
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
 from yolov5_lifecycle.ros.detector.image_input import ReceivedFrame
+from yolov5_lifecycle.ros.detector.transforms import FrameOutput
 from yolov5_lifecycle.ros.topics import (
     COMPRESSED_IMAGE,
     DETECTIONS,
@@ -101,6 +104,8 @@ class CameraPipeline:
     depth: DepthInput | None
     """None while the setting `depth` is false."""
     points: PointsWanted = PointsWanted()
+    frame: FrameOutput | None = None
+    """None for results in the frame of the camera."""
     tracking: TrackedDetection | None = None
     collecting: CameraCollecting | None = None
     """None while the setting `collect` is false."""
@@ -176,16 +181,21 @@ class CameraPipeline:
     def _in_space(
         self, placed: PlacedImage, detections: Detections, array: Detection2DArray, image: ColourImage
     ) -> Iterator[Send]:
-        """The detections in space and their points, each if it has a subscriber."""
-        outputs = self.outputs
+        """The detections in space and their points, each if it has a subscriber, in the frame that is set."""
+        outputs, frame = self.outputs, self.frame
+        header = Header(stamp=array.header.stamp, frame_id=frame.target_frame if frame else placed.frame_id)
+
+        def sending(publisher: LifecyclePublisher, make: Callable[[Transform | None], Any]) -> Send:
+            if frame is None:
+                return partial(publisher.publish, make(None))
+            return partial(frame.offer, header, placed.frame_id, lambda found: publisher.publish(make(found)))
+
         if outputs.subscribers_in_space[DETECTIONS_3D]:
-            message = messages.detection_3d_array_message(array, placed.placements, placed.frame_id)
-            yield partial(outputs.detections_3d.publish, message)
+            of_array = partial(messages.detection_3d_array_message, array, placed.placements, header.frame_id)
+            yield sending(outputs.detections_3d, of_array)
         if outputs.subscribers_in_space[POINTS]:
-            header = Header(stamp=array.header.stamp, frame_id=placed.frame_id)
-            points = self.points.of(detections, placed)
-            cloud = messages.point_cloud_message(points, detections, image, header)
-            yield partial(outputs.points.publish, cloud)
+            records = messages.point_records(self.points.of(detections, placed), detections, image)
+            yield sending(outputs.points, partial(messages.point_cloud_message, records, header))
 
     def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]

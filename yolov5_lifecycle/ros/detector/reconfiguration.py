@@ -11,7 +11,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from yolov5_lifecycle.detection.class_filter import model_problems
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused
@@ -134,7 +133,7 @@ class Reconfiguration:
         if session is None or preparation is None or before is None or after is None or before is after:
             return self.parameters.store(proposal)
         running = session.preparation
-        if problems := model_problems(after, preparation.result().detector.class_names):
+        if problems := session.problems(after, preparation.result()):
             result = refused(*problems)
             if preparation is not running:
                 names = ", ".join(f"`{problem.setting}`" for problem in problems)

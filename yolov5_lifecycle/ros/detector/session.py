@@ -24,8 +24,9 @@ from yolov5_lifecycle.ros.detector.camera_topic import RAW, Transport, colour_to
 from yolov5_lifecycle.ros.detector.depth import RECENT_S, DepthInput
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
 from yolov5_lifecycle.ros.detector.pipeline import CameraPipeline, LastImage, Outputs, PointsWanted
+from yolov5_lifecycle.ros.detector.transforms import FrameOutput, TransformInput, frame_problems
 from yolov5_lifecycle.runtimes.runtime import DeviceLostError
-from yolov5_lifecycle.settings.schema import SettingsError
+from yolov5_lifecycle.settings.schema import Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyFrames, FrameCounter, LatencyWindow, Outcome
 from yolov5_lifecycle.streaming.inference_threads import CameraQueue, InferenceThreads
@@ -128,6 +129,7 @@ class ActiveCamera:
         self._queue = CameraQueue(self.camera.counter, self.camera.report)
         self.input = ImageInput(partial(self.session.threads.offer, self._queue))
         self.depth: DepthInput | None = None
+        self.frame: FrameOutput | None = None
         self._stamps = StampCounts()
         self._told_jumps = 0
         self._tracking = self._new_tracking()
@@ -183,12 +185,17 @@ class ActiveCamera:
         self.input.follow(self.camera.topic if is_needed else None, self.settings.image_reliability)
         if self.depth is not None:
             self.depth.follow(is_needed=not self.settings.lazy or outputs.place_subscribers > 0)
+        is_needed = self.frame is not None and any(outputs.subscribers_in_space.values())
+        self.session.transforms.follow(self, is_needed=is_needed)
 
     def unsubscribe(self) -> None:
         """Receive no more images."""
         self.input.follow(None, self.settings.image_reliability)
         if self.depth is not None:
             self.depth.follow(is_needed=False)
+        if self.frame is not None:
+            self.frame.close()
+        self.session.transforms.follow(self, is_needed=False)
 
     def _new_tracking(self) -> TrackedDetection | None:
         return TrackedDetection.started(self.settings, self.session.track_ids, self._stamps)
@@ -225,6 +232,7 @@ class ActiveCamera:
         selected = selection_of(settings, class_names)
         self.empty_frames = EmptyFrames()
         self._follow_depth()
+        self._follow_frame()
         self._follow_collecting(selected, model)
         pipeline = CameraPipeline(
             model=model,
@@ -234,6 +242,7 @@ class ActiveCamera:
             empty_frames=self.empty_frames,
             last_image=self.camera.last_image,
             depth=self.depth,
+            frame=self.frame,
             points=PointsWanted(class_ids(settings.points_classes, class_names), settings.points_spacing_m),
             tracking=self._tracking,
             collecting=self.collecting,
@@ -267,6 +276,19 @@ class ActiveCamera:
         node, camera = self.camera.node, self.camera.name
         self.depth = None if slop_s is None else DepthInput(node, camera=camera, slop_s=slop_s)
 
+    def _follow_frame(self) -> None:
+        """Start or stop transforming results in space; begin again for another frame or timeout."""
+        settings, frame = self.settings, self.frame
+        target, timeout_s = settings.target_frame if settings.depth else "", settings.transform_timeout_s
+        if frame is not None and (frame.target_frame, frame.timeout_s) == (target, timeout_s):
+            return
+        self.frame = None
+        if frame is not None:
+            frame.close()
+        if target:
+            transforms, node = self.session.transforms, self.camera.node
+            self.frame = FrameOutput(node, transforms, target_frame=target, timeout_s=timeout_s)
+
 
 @dataclass(eq=False)
 class Session:
@@ -291,6 +313,7 @@ class Session:
     collector: Collector | None
     on_too_many: Callable[[str], object]
     on_device_lost: Callable[[str], object]
+    transforms: TransformInput
     threads: InferenceThreads = field(default_factory=InferenceThreads)
 
     @property
@@ -305,13 +328,18 @@ class Session:
 
     def start(self, settings: Settings) -> None:
         """Start detecting; raises what loading raised, SettingsError if the settings do not fit the model."""
-        if problems := model_problems(settings, self.model.detector.class_names):
+        if problems := self.problems(settings, self.model):
             raise SettingsError(problems)
         for name in settings.camera_names:
             camera = self.cameras[name]
             assert camera.outputs is not None, "only a configured camera is activated"
             camera.failed_in_a_row = None
             camera.active = ActiveCamera(self, camera, camera.outputs, settings.for_camera(name))
+
+    def problems(self, settings: Settings, model: PreparedModel) -> list[Problem]:
+        """Why it cannot detect with these settings and this model."""
+        of_frames = frame_problems(settings, self.transforms.listen)
+        return [*model_problems(settings, model.detector.class_names), *of_frames]
 
     def publish_first(self, settings: Settings) -> None:
         """Subscribe and publish the class names, once the publishers are active."""
