@@ -91,11 +91,19 @@ def detection_3d_array_message(
     """
     header, transform = Header(stamp=detections.header.stamp, frame_id=frame_id), transform or Transform()
     placed = [
-        _detection_3d(detection, placement, header, transform)
+        (detection, placement)
         for detection, placement in zip(detections.detections, placements, strict=True)
         if isinstance(placement, Box3D)
     ]
-    return Detection3DArray(header=header, detections=placed)
+    centres_m = moved(np.array([box.centre_xyz_m for _, box in placed]).reshape(-1, 3), transform).tolist()
+    found = []
+    for (detection, box), centre_m in zip(placed, centres_m, strict=True):
+        bbox = BoundingBox3D()
+        bbox.center.position.x, bbox.center.position.y, bbox.center.position.z = centre_m
+        bbox.center.orientation = transform.rotation  # the box stays parallel to the axes of the camera
+        bbox.size.x, bbox.size.y, bbox.size.z = box.size_xyz_m
+        found.append(_detection_3d(detection, bbox, header))
+    return Detection3DArray(header=header, detections=found)
 
 
 def moved(xyz_m: NDArray[np.floating], transform: Transform) -> NDArray[np.float64]:
@@ -112,12 +120,7 @@ def moved(xyz_m: NDArray[np.floating], transform: Transform) -> NDArray[np.float
     return np.asarray(xyz_m @ rotation.T + (shift.x, shift.y, shift.z), np.float64)
 
 
-def _detection_3d(detection: Detection2D, box: Box3D, header: Header, transform: Transform) -> Detection3D:
-    bbox = BoundingBox3D()
-    position, ((x, y, z),) = bbox.center.position, moved(np.array([box.centre_xyz_m]), transform).tolist()
-    position.x, position.y, position.z = x, y, z
-    bbox.center.orientation = transform.rotation  # the box stays parallel to the axes of the camera
-    bbox.size.x, bbox.size.y, bbox.size.z = box.size_xyz_m
+def _detection_3d(detection: Detection2D, bbox: BoundingBox3D, header: Header) -> Detection3D:
     results = [ObjectHypothesisWithPose(hypothesis=result.hypothesis) for result in detection.results]
     for result in results:
         result.pose.pose = bbox.center
@@ -141,10 +144,8 @@ def point_records(points: SurfacePoints, detections: Detections, image: ColourIm
     blue, green, red = colours.T if image.channel_order == "bgr" else colours.T[::-1]
     records["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
     records["detection"] = points.boxes
-    records["class_id"], records["score"] = (
-        detections.class_ids[points.boxes],
-        detections.scores[points.boxes],
-    )
+    records["class_id"] = detections.class_ids[points.boxes]
+    records["score"] = detections.scores[points.boxes]
     return records
 
 

@@ -51,7 +51,7 @@ def surface_points(
     less than pixels are.
     """
     sides = np.diff(np.clip(boxes_xyxy.reshape(-1, 2, 2), 0, depth.size_hw[::-1]), axis=1)
-    step_px = math.ceil(math.sqrt(sides.prod(axis=(1, 2), dtype=np.float64).sum() / MAX_PIXELS))
+    step_px = max(math.ceil(math.sqrt(sides.prod(axis=(1, 2), dtype=np.float64).sum() / MAX_PIXELS)), 1)
     found = [(np.zeros((0, 3), np.float32), *[np.zeros(0, np.intp)] * 3)]
     for boxes, surfaces in surfaces_in(boxes_xyxy, depth, camera, masks):
         low_m, high_m = (_extreme(surfaces.metres, of) for of in (np.fmin, np.fmax))
@@ -59,7 +59,7 @@ def surface_points(
         for index in np.flatnonzero(np.isfinite(nearest_m)):
             samples = low_m[index], high_m[index], surfaces.beside_m[index]
             spacing_px = int(spacing_m * camera.fx / nearest_m[index])
-            points = _points(boxes_xyxy[boxes][index], samples, depth, camera, max(step_px, 1), spacing_px)
+            points = _points(boxes_xyxy[boxes][index], samples, depth, camera, step_px, spacing_px)
             found.append((*points, np.full(len(points[0]), boxes.start + index)))
     return SurfacePoints(*map(np.concatenate, zip(*found, strict=True)))
 

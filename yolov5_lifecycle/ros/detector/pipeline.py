@@ -137,9 +137,8 @@ class CameraPipeline:
         the places found with them, has a subscriber; what a look at the frame needs if it may be collected.
         """
         outputs = self.outputs
-        subscribers = outputs.mask_subscribers + outputs.image_subscribers
-        subscribers += 0 if self.depth is None else outputs.place_subscribers
-        selection = replace(self._selected, with_masks=subscribers > 0)
+        others = outputs.image_subscribers if self.depth is None else outputs.place_subscribers
+        selection = replace(self._selected, with_masks=outputs.mask_subscribers + others > 0)
         return selection if self.collecting is None else self.collecting.wanted(selection)
 
     @property

@@ -118,10 +118,9 @@ class TransformInput:
         """See `Transforms`; a frame is always where it is itself."""
         if target == source:
             return Transform()
-        transforms = self._transforms
-        return (
-            Untransformed.NO_TRANSFORM if transforms is None else transforms.look_up(target, source, stamp_ns)
-        )
+        if (transforms := self._transforms) is None:
+            return Untransformed.NO_TRANSFORM
+        return transforms.look_up(target, source, stamp_ns)
 
     def notice_jump(self, stamp_ns: int, before_ns: int) -> None:
         """Forget transforms if the stamps of a camera jumped back, and no other camera's have before."""
@@ -215,6 +214,8 @@ class FrameOutput:
 
         One at a time, so that other callbacks are served.
         """
+        if self._is_closed:
+            self._waiting.clear()  # of what was offered at the same time
         if self._waiting:
             result = self._waiting[0]  # it stays in the queue, so that newer ones are not sent before it
             found = self._look_up(result)
