@@ -50,9 +50,11 @@ class ScriptedTransforms:
     asked: list[tuple[str, str, int]] = field(default_factory=list)
     forgotten: int = 0
     is_closed: bool = False
+    on_asked: Callable[[], None] = lambda: None
 
     def look_up(self, target: str, source: str, stamp_ns: int) -> Transform | Untransformed:
         self.asked.append((target, source, stamp_ns // 10**9))
+        self.on_asked()
         return self.found
 
     def forget(self) -> None:
@@ -308,6 +310,21 @@ def test_more_results_than_may_wait_are_dropped_and_one_that_fails_blocks_no_oth
     offer(output, 1000.0, sent)
     assert 1000.0 not in sent
     assert [*output.node.timers] == []
+
+
+def test_a_result_that_is_offered_while_the_frame_changes_is_dropped(
+    output: FrameOutput, transforms: ScriptedTransforms
+) -> None:
+    sent: list[float] = []
+    transforms.found, transforms.on_asked = Untransformed.NO_TRANSFORM, output.close
+    assert output.node.executor is not None
+    done: list[str] = []
+    output.node.executor.create_task(done.append, "before")
+    offer(output, 1.0, sent)
+    output.node.executor.create_task(done.append, "after")
+    transforms.found = CAMERA
+    spin(output, lambda: len(done) == 2)  # and what lies between, whichever comes first
+    assert sent == []
 
 
 @pytest.mark.parametrize(
