@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any
 
 PATIENCE_S = 60.0
-Result = TypeVar("Result")
 
 
 class Gate:
@@ -16,27 +15,31 @@ class Gate:
     def __init__(self, *, is_open: bool = False) -> None:
         self.reached = threading.Event()
         self._is_open = threading.Event()
+        self._turn = threading.Lock()
         if is_open:
             self.open()
 
     def close(self) -> None:
-        self._is_open.clear()
-        self.reached.clear()
+        with self._turn:
+            self._is_open.clear()
+            self.reached.clear()
 
     def open(self) -> None:
         self._is_open.set()
 
     def passed(self) -> None:
         """Called where the gate is."""
-        self.reached.set()
-        assert self._is_open.wait(PATIENCE_S)
+        with self._turn:
+            self.reached.set()
+            is_open = self._is_open.is_set()
+        assert is_open or self._is_open.wait(PATIENCE_S)
 
-    def before(self, run: Callable[[], Result]) -> Callable[[], Result]:
+    def before(self, run: Callable[..., Any]) -> Callable[..., Any]:
         """`run` with the gate before it."""
 
-        def held() -> Result:
+        def held(*arguments: Any, **options: Any) -> Any:
             self.passed()
-            return run()
+            return run(*arguments, **options)
 
         return held
 

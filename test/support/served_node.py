@@ -169,6 +169,12 @@ class ServedNode:
         """Set all together; whether it was done, and the reason if not."""
         return self.set_messages(messages_of(**values))
 
+    def refusal(self, **values: Any) -> str:
+        """Set all together; the reason why that was not done."""
+        done, reason = self.set(**values)
+        assert not done
+        return reason
+
     def set_messages(self, messages: Sequence[Any]) -> tuple[bool, str]:
         """Like `set`, with parameters as they are sent."""
         request = SetParametersAtomically.Request(parameters=list(messages))

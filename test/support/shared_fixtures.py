@@ -37,6 +37,12 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
         yield served
 
 
+@pytest.fixture
+def active(served: ServedNode) -> ServedNode:
+    served.bring_to("active")
+    return served
+
+
 @pytest.fixture(scope="session")
 def shared_detector(_isolated: None) -> Iterator[DetectorProcess]:
     """The installed detector; `detector` has it as at the start."""
@@ -49,12 +55,6 @@ def detector(shared_detector: DetectorProcess) -> DetectorProcess:
     """A running process, unconfigured, its parameters as at the start."""
     shared_detector.reset()
     return shared_detector
-
-
-@pytest.fixture
-def active(detector: DetectorProcess) -> DetectorProcess:
-    detector.bring_to("active")
-    return detector
 
 
 @pytest.fixture(scope="session")

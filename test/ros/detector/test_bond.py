@@ -49,9 +49,8 @@ def test_a_manager_drives_the_process_through_every_transition() -> None:
 # The node in this process, with models of the test's
 
 
-def test_the_bond_is_off_unless_it_is_asked_for(served: ServedNode) -> None:
-    served.bring_to("active")
-    assert served.client.count_publishers("/bond") == served.client.count_subscribers("/bond") == 0
+def test_the_bond_is_off_unless_it_is_asked_for(active: ServedNode) -> None:
+    assert active.client.count_publishers("/bond") == active.client.count_subscribers("/bond") == 0
 
 
 def test_configure_says_what_a_bond_needs_where_its_messages_are_missing(

@@ -33,7 +33,7 @@ def served(prepare: Preparations) -> Iterator[ServedNode]:
 
 
 @contextmanager
-def active(prepare: Preparations, *parameters: str) -> Iterator[ServedNode]:
+def active_with(prepare: Preparations, *parameters: str) -> Iterator[ServedNode]:
     """The active node with two cameras and these `parameters`."""
     with ServedNode(prepare, parameters=["cameras:=[front, rear]", *parameters]) as served:
         served.bring_to("active")
@@ -60,14 +60,13 @@ def served_topics(served: ServedNode) -> list[str]:
 
 
 def test_each_camera_has_its_own_topics_status_and_an_exact_balance(
-    served: ServedNode, cameras: list[CameraClient]
+    active: ServedNode, cameras: list[CameraClient]
 ) -> None:
-    served.bring_to("active")
     front, rear = cameras
     for _ in range(5):
         assert front.detect().header.frame_id == "front_optical"
-    served.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
-    statuses = served.statuses()
+    active.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
+    statuses = active.statuses()
     assert set(statuses) == {"detection", *CAMERAS}
     assert {status.hardware_id for status in statuses.values()} == {"/yolov5"}
     counts = front.counts()
@@ -78,40 +77,38 @@ def test_each_camera_has_its_own_topics_status_and_an_exact_balance(
     assert (values["cameras"], values["state"]) == ("front, rear", "active")
     assert "frames received" not in values
     assert rear.detect().header.frame_id == "rear_optical"
-    assert {f"/yolov5/{name}/image" for name in CAMERAS} < set(served_topics(served))
-    assert not {"/yolov5/image_raw", "/yolov5/detections"} & set(served_topics(served))
+    assert {f"/yolov5/{name}/image" for name in CAMERAS} < set(served_topics(active))
+    assert not {"/yolov5/image_raw", "/yolov5/detections"} & set(served_topics(active))
 
 
 def test_a_camera_that_sends_garbage_is_told_apart_from_the_others(
-    served: ServedNode, cameras: list[CameraClient]
+    active: ServedNode, cameras: list[CameraClient]
 ) -> None:
-    served.bring_to("active")
     front, rear = cameras
 
     def are_told_apart() -> bool:
         front.send(image(encoding="nonsense"))
         assert class_ids_of(rear.detect()) == ["cat"]
-        _, of_front, of_rear = served.diagnostics[-1].status
+        _, of_front, of_rear = active.diagnostics[-1].status
         is_told = "'nonsense' is not supported" in of_front.message
         return is_told and of_rear.level == DiagnosticStatus.OK
 
-    served.statuses()
-    served.wait_for(are_told_apart, "the rejection")
-    of_node, of_front, _ = served.diagnostics[-1].status
+    active.statuses()
+    active.wait_for(are_told_apart, "the rejection")
+    of_node, of_front, _ = active.diagnostics[-1].status
     assert of_front.level == DiagnosticStatus.WARN
     assert of_node.message.startswith("front: images are rejected")
     assert "'nonsense' is not supported" in front.values()["last problem"]
-    served.wait_for_log("image of camera front rejected: ")
-    served.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
+    active.wait_for_log("image of camera front rejected: ")
+    active.wait_for(lambda: front.counts()["pending"] == 0, "the last frame")
     counts = front.counts()
     assert counts["rejected"] == counts["received"] > 0
 
 
 def test_failures_of_one_camera_end_the_detection_only_once_the_other_fails_as_well(
-    served: ServedNode, prepare: Preparations, cameras: list[CameraClient]
+    active: ServedNode, prepare: Preparations, cameras: list[CameraClient]
 ) -> None:
-    served.bring_to("active")
-    assert served.set(max_consecutive_failures=3) == (True, "")
+    assert active.set(max_consecutive_failures=3) == (True, "")
     failing = {128}
 
     def fail_by_height() -> np.ndarray:
@@ -125,16 +122,16 @@ def test_failures_of_one_camera_end_the_detection_only_once_the_other_fails_as_w
     front.size_hw = (24, 128)
     prepare.running.run = fail_by_height
     for failures in range(1, 6):
-        served.wait_for(
+        active.wait_for(
             lambda wanted=failures: bool(front.send()) and front.counts()["failed"] >= wanted,  # type: ignore[misc]
             "the failure",
         )
         rear.detect()
-    assert served.state() == "active"
+    assert active.state() == "active"
     assert "on fire" in front.values()["last problem"]
     failing.add(480)
-    served.wait_for(lambda: bool(rear.send()) and served.node.state_label == "inactive", "the end")
-    assert "failed frames in a row, the last: RuntimeError: the device is on fire" in served.status().message
+    active.wait_for(lambda: bool(rear.send()) and active.node.state_label == "inactive", "the end")
+    assert "failed frames in a row, the last: RuntimeError: the device is on fire" in active.status().message
 
 
 def test_only_the_camera_whose_outputs_have_a_subscriber_is_subscribed_to(served: ServedNode) -> None:
@@ -178,9 +175,8 @@ def test_a_camera_that_the_middleware_refuses_is_told_and_tried_again_while_the_
 
 
 def test_other_cameras_need_another_configure(prepare: Preparations) -> None:
-    with active(prepare, "qos_overrides./yolov5/front/image_raw.subscription.depth:=2") as served:
-        done, reason = served.set(cameras=["rear", "left"])
-        assert not done
+    with active_with(prepare, "qos_overrides./yolov5/front/image_raw.subscription.depth:=2") as served:
+        reason = served.refusal(cameras=["rear", "left"])
         assert "ros2 lifecycle set /yolov5 deactivate; then ros2 lifecycle set /yolov5 cleanup" in reason
         assert served.set(cameras=[*CAMERAS]) == (True, ""), "as a dump of the node does"
         for cameras in (["rear", "left"], []):
@@ -213,19 +209,18 @@ def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_i
 
 
 def test_a_new_model_serves_all_cameras_and_is_warmed_up_for_the_size_of_each(
-    served: ServedNode, prepare: Preparations, cameras: list[CameraClient]
+    active: ServedNode, prepare: Preparations, cameras: list[CameraClient]
 ) -> None:
-    served.bring_to("active")
     cameras[1].size_hw = (48, 128)
     cameras[1].detect()
-    assert served.set(image_size=320) == (True, "")
+    assert active.set(image_size=320) == (True, "")
     assert prepare.sizes_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
     prepare.running.run = lambda: prediction("dog", 0.9)
     assert found_by(*cameras) == [["dog"], ["dog"]]
 
 
 def test_each_camera_places_its_tracks_in_its_own_frame_while_its_depth_is_on(prepare: Preparations) -> None:
-    with active(prepare, "depth:=true", *TRACKING) as served:
+    with active_with(prepare, "depth:=true", *TRACKING) as served:
         cameras = [
             DepthClient(served, name, wall_m=wall_m) for name, wall_m in zip(CAMERAS, WALLS_M, strict=True)
         ]
@@ -260,7 +255,7 @@ def reliability(camera: CameraClient) -> str:
 
 def test_each_camera_may_have_a_transport_and_a_reliability_of_its_own(prepare: Preparations) -> None:
     choice = ("front.image_transport:=compressed", "rear.image_reliability:=best_effort")
-    with active(prepare, *choice) as served:
+    with active_with(prepare, *choice) as served:
         front, rear = CameraClient(served, "front", is_compressed=True), CameraClient(served, "rear")
         assert found_by(front, rear) == [["cat"], ["cat"]]
         topics = [camera.values()["image topic"] for camera in (front, rear)]
@@ -278,7 +273,7 @@ def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone_until_
     prepare: Preparations,
 ) -> None:
     model = SegmentingModel(prepare)
-    with active(prepare, *PARAMETERS) as served:
+    with active_with(prepare, *PARAMETERS) as served:
         front, rear = (CameraClient(served, name, size_hw=SIZE_HW) for name in CAMERAS)
         rear.detect()
         masks = MasksSubscriber(front)

@@ -103,13 +103,9 @@ def numbers(found: Detection2DArray) -> list[tuple[float, ...]]:
 def test_collecting_needs_a_folder_that_the_start_names(tmp_path: Path) -> None:
     with served_with(None) as served:
         served.bring_to("active")
-        done, reason = served.set(collect=True)
-        assert not done
-        assert "Restart the node with collect_dir" in reason
+        assert "Restart the node with collect_dir" in served.refusal(collect=True)
         assert ask(served) == (False, "there is no folder: restart the node with collect_dir set to one")
-        done, reason = served.set(collect_dir=str(tmp_path))
-        assert not done
-        assert reason.startswith("collect_dir: read-only")
+        assert served.refusal(collect_dir=str(tmp_path)).startswith("collect_dir: read-only")
 
 
 def test_an_image_is_kept_on_request_and_without_any_subscriber(tmp_path: Path) -> None:

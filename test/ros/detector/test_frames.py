@@ -15,14 +15,13 @@ def fail() -> np.ndarray:
     raise RuntimeError("the device is on fire")
 
 
-def test_detections_carry_the_header_of_their_image(served: ServedNode) -> None:
-    served.bring_to("active")
+def test_detections_carry_the_header_of_their_image(active: ServedNode) -> None:
     message = image()
     message.header.frame_id = "front"
     message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
-    served.publish(message)
-    served.wait_for(lambda: bool(served.detections), "a detection")
-    array = served.detections[0]
+    active.publish(message)
+    active.wait_for(lambda: bool(active.detections), "a detection")
+    array = active.detections[0]
     assert array.header == message.header
     assert [detection.header for detection in array.detections] == [message.header]
     assert array.detections[0].id == ""
@@ -30,37 +29,35 @@ def test_detections_carry_the_header_of_their_image(served: ServedNode) -> None:
 
 
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(
-    served: ServedNode, prepare: Preparations
+    active: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("active")
-    assert served.set(max_consecutive_failures=2) == (True, "")
+    assert active.set(max_consecutive_failures=2) == (True, "")
     runtime = prepare.running
 
     def fail_every_other_time() -> np.ndarray:
         return fail() if len(runtime.calls) % 2 else prediction("cat", 0.9)
 
     runtime.run = fail_every_other_time
-    served.send_until(lambda: len(runtime.calls) >= 8, "eight frames, of which no two in a row fail")
-    assert served.state() == "active"
+    active.send_until(lambda: len(runtime.calls) >= 8, "eight frames, of which no two in a row fail")
+    assert active.state() == "active"
     runtime.run = fail
-    served.send_until(lambda: served.node.state_label == "inactive", "the node to give up")
-    status = served.status()
+    active.send_until(lambda: active.node.state_label == "inactive", "the node to give up")
+    status = active.status()
     assert status.message == "deactivated after 2 failed frames in a row, the last: " + (
         "RuntimeError: the device is on fire"
     )
     assert status.level == DiagnosticStatus.ERROR
     assert runtime.is_closed
-    assert served.transition("activate")
-    assert class_ids_of(served.detect()) == ["cat"]
-    assert served.status().level != DiagnosticStatus.ERROR
+    assert active.transition("activate")
+    assert class_ids_of(active.detect()) == ["cat"]
+    assert active.status().level != DiagnosticStatus.ERROR
 
 
-def test_a_rate_limit_skips_and_counts_the_frames_between(served: ServedNode) -> None:
-    served.bring_to("active")
-    assert served.set(max_rate=1.0) == (True, "")
-    served.detect()
-    served.send_until(lambda: served.counts()["skipped"] > 0, "an image that comes too early")
-    counts = served.counts()
+def test_a_rate_limit_skips_and_counts_the_frames_between(active: ServedNode) -> None:
+    assert active.set(max_rate=1.0) == (True, "")
+    active.detect()
+    active.send_until(lambda: active.counts()["skipped"] > 0, "an image that comes too early")
+    counts = active.counts()
     assert counts["received"] == sum(counts.values()) - counts["received"]
 
 

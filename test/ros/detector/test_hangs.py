@@ -43,40 +43,12 @@ ABANDONED = (
 )
 
 
-class Hang:
-    """Makes the inference thread hang where `step` is called, once after each `begin`, until `end`."""
-
-    def __init__(self) -> None:
-        self.entered = threading.Event()
-        self._is_armed = threading.Event()
-        self._release = threading.Event()
-
-    def begin(self) -> None:
-        self._is_armed.set()
-
-    def end(self) -> None:
-        self._is_armed.clear()
-        self._release.set()
-
-    def step(self) -> None:
-        if self._is_armed.is_set() and threading.current_thread().name == "inference":
-            self._is_armed.clear()
-            self.entered.set()
-            assert self._release.wait(10 * PATIENCE_S)
-
-    def before(self, original: Callable[..., Any]) -> Callable[..., Any]:
-        def hanging(*arguments: Any, **options: Any) -> Any:
-            self.step()
-            return original(*arguments, **options)
-
-        return hanging
-
-
 @pytest.fixture
-def hang() -> Iterator[Hang]:
-    hang = Hang()
+def hang() -> Iterator[Gate]:
+    """Makes what it is put before hang while it is closed."""
+    hang = Gate(is_open=True)
     yield hang
-    hang.end()
+    hang.open()
 
 
 STEPS: dict[str, tuple[Any, str]] = {
@@ -98,7 +70,7 @@ EVERY_STEP = [pytest.param(step, marks=() if step in QUICK else pytest.mark.long
 
 @pytest.mark.parametrize("step", EVERY_STEP)
 def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
-    step: str, hang: Hang, prepare: Preparations, monkeypatch: pytest.MonkeyPatch
+    step: str, hang: Gate, prepare: Preparations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a tracker, depth, masks and viewers, so that every step is taken."""
     assert REST_TIMEOUT_S == 3.0
@@ -121,8 +93,8 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
             served.wait_for(is_met, what)
 
         send_until(lambda: bool(raw.received and compressed.received), "annotated images")
-        hang.begin()
-        send_until(hang.entered.is_set, "the step to hang")
+        hang.close()
+        send_until(hang.reached.is_set, "the step to hang")
         deactivated = served.begin_transition("deactivate")
         assert served.state() == "active"
         assert not deactivated.done(), "the node answered only after it waited for the frame"
@@ -131,20 +103,19 @@ def test_while_a_frame_hangs_services_answer_and_deactivate_proceeds(
         assert served.status().message == ABANDONED
         served.wait_for_log(ABANDONED)
         assert served.counts()["pending"] == 0
-        hang.end()
+        hang.open()
         assert served.transition("activate")
         assert class_ids_of(camera.detect())
 
 
 @pytest.mark.long
-def test_a_hint_tells_that_a_frame_hangs(served: ServedNode, prepare: Preparations, hang: Hang) -> None:
-    served.bring_to("active")
+def test_a_hint_tells_that_a_frame_hangs(active: ServedNode, prepare: Preparations, hang: Gate) -> None:
     prepare.running.run = hang.before(prepare.run)
-    hang.begin()
-    served.send_until(hang.entered.is_set, "inference to hang")
+    hang.close()
+    active.send_until(hang.reached.is_set, "inference to hang")
     hint = "s so far. If inference hangs, deactivate and activate the node"
-    served.wait_for(lambda: hint in served.status().message, "the hint")
-    served.wait_for_log(hint)
+    active.wait_for(lambda: hint in active.status().message, "the hint")
+    active.wait_for_log(hint)
 
 
 # Inference streams

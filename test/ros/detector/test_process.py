@@ -86,21 +86,22 @@ def test_deactivate_releases_the_memory_of_the_model(
 @pytest.mark.long
 @pytest.mark.skipif("openvino" not in installed_runtimes(), reason="no openvino: make install")
 def test_precision_int8_is_a_reload_that_needs_a_calibration_and_goes_on_finding_the_shapes(
-    active: DetectorProcess, tmp_path: Path
+    detector: DetectorProcess, tmp_path: Path
 ) -> None:
+    detector.bring_to("active")
     weights = Path(shutil.copy(SHAPES, tmp_path / "best.safetensors"))
-    assert active.node.set_parameters(weights=str(weights)) == ""
-    in_fp32 = active.look(0)
-    assert f"`calibrate {weights} DATA --image-size 320`" in active.node.set_parameters(precision="int8")
-    assert active.status()["precision"] == "fp32"
+    assert detector.node.set_parameters(weights=str(weights)) == ""
+    in_fp32 = detector.look(0)
+    assert f"`calibrate {weights} DATA --image-size 320`" in detector.node.set_parameters(precision="int8")
+    assert detector.status()["precision"] == "fp32"
     calibration = read_calibration(path_beside(SHAPES)).model_copy(update={"image_size": 320})
     write_calibration(path_beside(weights), calibration)
-    assert active.node.set_parameters(precision="int8") == ""
-    status = active.status()
+    assert detector.node.set_parameters(precision="int8") == ""
+    status = detector.status()
     assert (status["precision"], status["runtime"]) == ("int8", "openvino")
-    assert abs(len(active.look(1).class_names) - len(in_fp32.class_names)) <= 1
-    assert active.node.set_parameters(precision="auto") == ""
-    assert active.status()["precision"] == "fp32"
+    assert abs(len(detector.look(1).class_names) - len(in_fp32.class_names)) <= 1
+    assert detector.node.set_parameters(precision="auto") == ""
+    assert detector.status()["precision"] == "fp32"
 
 
 @pytest.mark.long

@@ -44,10 +44,9 @@ from yolov5_lifecycle.ros.topics import LABEL_INFO, full_name, published
 
 @pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
 def test_an_image_is_drawn_in_both_forms_with_its_header_and_colours(
-    served: ServedNode, channel_order: str
+    active: ServedNode, channel_order: str
 ) -> None:
-    served.bring_to("active")
-    camera = CameraClient(served)
+    camera = CameraClient(active)
     raw, compressed = Viewer(camera), Viewer(camera, "image/compressed", CompressedImage)
     raw.begin()
     compressed.begin()
@@ -201,25 +200,24 @@ def test_masks_fit_the_detections_that_the_tracker_leaves(
 
 
 def test_a_subscriber_to_masks_alone_does_not_keep_a_model_detecting_that_does_not_segment(
-    served: ServedNode, prepare: Preparations
+    active: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("active")
-    camera = CameraClient(served, size_hw=SIZE_HW)
+    camera = CameraClient(active, size_hw=SIZE_HW)
     masks, told = MasksSubscriber(camera), "~/masks has a subscriber, but the loaded model does not segment"
-    served.wait_for(lambda: bool(camera.detect()) and told in served.status().message, "the remark")
-    assert "masks" not in served.values()
+    active.wait_for(lambda: bool(camera.detect()) and told in active.status().message, "the remark")
+    assert "masks" not in active.values()
     assert masks.received == []
-    served.ignore_detections()
-    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+    active.ignore_detections()
+    active.wait_for(lambda: active.image_subscriptions() == 0, "the node to unsubscribe")
     SegmentingModel(prepare)
-    assert served.set(image_size=128) == (True, "")
-    served.wait_for(lambda: bool(camera.send()) and bool(masks.received), "masks")
+    assert active.set(image_size=128) == (True, "")
+    active.wait_for(lambda: bool(camera.send()) and bool(masks.received), "masks")
     np.testing.assert_array_equal(pixels(masks.received[0]), labels())
-    assert served.values()["masks"] == "2 coefficients"
+    assert active.values()["masks"] == "2 coefficients"
     prepare.mask_coefficients, prepare.compute_prototypes = 0, None
     prepare.run = lambda: prediction("cat", 0.9)
-    assert served.set(image_size=64) == (True, "")
-    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
+    assert active.set(image_size=64) == (True, "")
+    active.wait_for(lambda: active.image_subscriptions() == 0, "the node to unsubscribe")
 
 
 # All topics

@@ -17,53 +17,48 @@ from yolov5_lifecycle.detection.prepared_model import prepare_model
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
-def test_a_reload_swaps_the_model_and_frees_the_old_one(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
-    served.detect()
+def test_a_reload_swaps_the_model_and_frees_the_old_one(active: ServedNode, prepare: Preparations) -> None:
+    active.detect()
     changed = {"weights": "/other.pt", "confidence_threshold": 0.5, "image_reliability": "reliable"}
-    assert served.set(image_size=320, **changed) == (True, "")
+    assert active.set(image_size=320, **changed) == (True, "")
     old, new = prepare.runtimes
     assert old.is_closed
     assert not new.is_closed
-    served.wait_for_log("the model was replaced: weights /scripted.pt")
+    active.wait_for_log("the model was replaced: weights /scripted.pt")
     new.run = lambda: prediction("dog", 0.8)
-    assert class_ids_of(served.detect()) == ["dog"]
-    assert served.transition("deactivate")
-    assert served.transition("activate")
+    assert class_ids_of(active.detect()) == ["dog"]
+    assert active.transition("deactivate")
+    assert active.transition("activate")
     image_hw = image().height, image().width
     assert prepare.sizes_hw == [[USUAL_SOURCE_HW], [image_hw], [image_hw]], "warmed up for the last image"
 
 
-def test_a_refused_reload_leaves_model_and_value_alone(served: ServedNode, prepare: Preparations) -> None:
-    served.bring_to("active")
+def test_a_refused_reload_leaves_model_and_value_alone(active: ServedNode, prepare: Preparations) -> None:
     prepare.refusal = "/broken.pt: this is no checkpoint"
-    done, reason = served.set(weights="/broken.pt")
-    assert not done
-    assert "/broken.pt: this is no checkpoint" in reason
-    served.wait_for_log("the running model stays, its replacement was refused: /broken.pt")
+    assert "/broken.pt: this is no checkpoint" in active.refusal(weights="/broken.pt")
+    active.wait_for_log("the running model stays, its replacement was refused: /broken.pt")
     prepare.refusal_type, prepare.refusal = KeyError, "surprise"
-    assert served.set(image_size=320) == (False, "KeyError: 'surprise'")
-    served.wait_for_log("unexpected KeyError in yolov5/set_parameters_atomically:\n  Traceback")
-    assert (served.get("weights"), served.get("image_size")) == ("", 640)
-    assert class_ids_of(served.detect()) == ["cat"]
+    assert active.set(image_size=320) == (False, "KeyError: 'surprise'")
+    active.wait_for_log("unexpected KeyError in yolov5/set_parameters_atomically:\n  Traceback")
+    assert (active.get("weights"), active.get("image_size")) == ("", 640)
+    assert class_ids_of(active.detect()) == ["cat"]
     assert not prepare.running.is_closed
 
 
 def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
-    served: ServedNode, prepare: Preparations
+    active: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("active")
     prepare.gate.clear()
     prepare.class_names = ("star", "circle")
-    reload = served.begin_set(weights="/other.pt")
+    reload = active.begin_set(weights="/other.pt")
     assert prepare.begun.acquire(timeout=PATIENCE_S)
-    assert served.set(classes=["cat"]) == (True, "")
+    assert active.set(classes=["cat"]) == (True, "")
     prepare.gate.set()
-    served.wait_for(reload.done, "the answer")
+    active.wait_for(reload.done, "the answer")
     assert not reload.result().result.successful
     assert "`classes` still names classes of the running model" in reload.result().result.reason
     assert [runtime.is_closed for runtime in prepare.runtimes] == [False, True]
-    assert class_ids_of(served.detect()) == ["cat"]
+    assert class_ids_of(active.detect()) == ["cat"]
 
 
 # Weights files
@@ -104,13 +99,11 @@ def test_a_bad_file_is_refused_by_activate_and_by_a_swap(real: ServedNode, good:
     assert real.set(weights=str(good)) == (True, "")
     assert real.transition("activate")
     for _, name, message in BAD_FILES:
-        done, reason = real.set(weights=str(good.with_name(name)))
-        assert not done
+        reason = real.refusal(weights=str(good.with_name(name)))
         assert name in reason
         assert message in reason
     digest = real.values()["sha256"]
-    done, reason = real.set(weights_sha256="0" * 64)
-    assert not done
+    reason = real.refusal(weights_sha256="0" * 64)
     assert digest in reason
     assert "0" * 64 in reason
     assert real.set(weights_sha256=digest) == (True, "")

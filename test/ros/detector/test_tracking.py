@@ -58,15 +58,14 @@ def test_an_object_has_an_id_from_its_second_image_on_which_live_changes_keep(tr
     assert ids_at(tracking, 20, 21) == ["", ""]
 
 
-def test_tracking_begins_and_ends_with_the_next_image(served: ServedNode) -> None:
-    served.bring_to("active")
-    assert ids_at(served, 1, 2) == ["", ""]
-    assert "tracker" not in served.values()
+def test_tracking_begins_and_ends_with_the_next_image(active: ServedNode) -> None:
+    assert ids_at(active, 1, 2) == ["", ""]
+    assert "tracker" not in active.values()
     for first_id, sec in (("1", 10), ("2", 20)):
-        assert served.set(tracker="bytetrack", track_timeout=60.0) == (True, "")
-        assert ids_at(served, sec, sec + 1) == ["", first_id]
-        assert served.set(tracker="none") == (True, "")
-        assert ids_at(served, sec + 2) == [""]
+        assert active.set(tracker="bytetrack", track_timeout=60.0) == (True, "")
+        assert ids_at(active, sec, sec + 1) == ["", first_id]
+        assert active.set(tracker="none") == (True, "")
+        assert ids_at(active, sec + 2) == [""]
 
 
 def test_a_reload_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:

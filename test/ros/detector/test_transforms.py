@@ -179,9 +179,7 @@ def test_the_frame_changes_live_and_transforms_are_received_while_somebody_needs
     transforms.is_closed = False
     camera.served.client.destroy_subscription(camera.subscription)
     camera.served.wait_for(lambda: transforms.is_closed, "the end of listening")
-    is_set, why = camera.served.set(target_frame="/map")
-    assert not is_set
-    assert "without a leading slash, such as base_link" in why
+    assert "without a leading slash, such as base_link" in camera.served.refusal(target_frame="/map")
 
 
 def test_a_recording_that_begins_again_forgets_what_was_received(
@@ -211,9 +209,7 @@ def test_without_tf2_a_frame_is_refused_with_what_to_install(
         assert "sudo apt install ros-jazzy-tf2-ros-py" in served.status().message
         assert served.set(target_frame="") == (True, "")
         assert served.transition("activate")
-        is_set, why = served.set(target_frame="map")
-        assert not is_set
-        assert "'map' needs tf2" in why
+        assert "'map' needs tf2" in served.refusal(target_frame="map")
 
 
 # Without a node that detects

@@ -72,19 +72,18 @@ def test_an_unexpected_exception_in_activate_leads_back_to_unconfigured(
 
 @pytest.mark.parametrize("label", ["deactivate", "shutdown"])
 def test_an_unexpected_exception_while_releasing_releases_the_rest(
-    served: ServedNode, prepare: Preparations, label: str
+    active: ServedNode, prepare: Preparations, label: str
 ) -> None:
-    served.bring_to("active")
 
     def fail_to_close() -> None:
         raise KeyError("surprise")
 
     prepare.running.on_close = fail_to_close
-    assert not served.transition(label)
-    assert served.state() == "unconfigured"
-    served.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
-    served.wait_for(lambda: served.image_subscriptions() == 0, "the node to unsubscribe")
-    served.wait_for(lambda: served.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
+    assert not active.transition(label)
+    assert active.state() == "unconfigured"
+    active.wait_for_log(f"unexpected KeyError in on_{label}: 'surprise'")
+    active.wait_for(lambda: active.image_subscriptions() == 0, "the node to unsubscribe")
+    active.wait_for(lambda: active.client.count_publishers("/yolov5/detections") == 0, "the publishers to go")
 
 
 def test_a_publisher_that_cannot_be_created_leaves_none_behind(served: ServedNode) -> None:

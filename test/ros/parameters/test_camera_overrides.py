@@ -79,25 +79,20 @@ def test_every_parameter_is_logged_with_the_source_of_its_value(
 # At run time
 
 
-def test_an_override_is_set_changed_and_deleted_while_the_node_detects(served: ServedNode) -> None:
-    served.bring_to("active")
-    assert "front.max_rate" not in names(served)
+def test_an_override_is_set_changed_and_deleted_while_the_node_detects(active: ServedNode) -> None:
+    assert "front.max_rate" not in names(active)
     for value in (5, 7.5):
-        assert served.set(**{"front.max_rate": value}) == (True, "")
-        assert served.get("front.max_rate") == value
-        assert settings_of(served).for_camera("front").max_rate == value
-        assert settings_of(served).for_camera("rear") == Settings()
+        assert active.set(**{"front.max_rate": value}) == (True, "")
+        assert active.get("front.max_rate") == value
+        assert settings_of(active).for_camera("front").max_rate == value
+        assert settings_of(active).for_camera("rear") == Settings()
     for _ in range(2):  # what is not set may be deleted, too
-        assert served.set(**{"front.max_rate": None}) == (True, "")
-        assert "front.max_rate" not in names(served)
-    assert settings_of(served).for_camera("front").max_rate == 0.0
-    done, reason = served.set(**{"side.max_rate": None})
-    assert not done
-    assert reason.startswith("side.max_rate: there is no such parameter")
-    done, reason = served.set(**{"front.classes": ["cta"]})
-    assert not done
-    assert "front.classes: 'cta' is not a class of the model" in reason
-    assert settings_of(served).for_camera("front") == Settings()
+        assert active.set(**{"front.max_rate": None}) == (True, "")
+        assert "front.max_rate" not in names(active)
+    assert settings_of(active).for_camera("front").max_rate == 0.0
+    assert active.refusal(**{"side.max_rate": None}).startswith("side.max_rate: there is no such parameter")
+    assert "front.classes: 'cta' is not a class of the model" in active.refusal(**{"front.classes": ["cta"]})
+    assert settings_of(active).for_camera("front") == Settings()
 
 
 def test_a_camera_and_its_overrides_are_added_and_removed_in_one_request(served: ServedNode) -> None:

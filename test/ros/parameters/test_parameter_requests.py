@@ -72,9 +72,8 @@ def test_a_request_about_too_many_names_is_answered_with_nothing(served: ServedN
 
 
 def test_a_change_that_cannot_take_effect_leaves_nothing_behind(
-    served: ServedNode, monkeypatch: pytest.MonkeyPatch
+    active: ServedNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    served.bring_to("active")
     apply, applied = Session.apply, list[float]()
 
     def fail(session: Session, settings: Settings, preparation: Any) -> None:
@@ -84,74 +83,70 @@ def test_a_change_that_cannot_take_effect_leaves_nothing_behind(
         apply(session, settings, preparation)
 
     monkeypatch.setattr(Session, "apply", fail)
-    (result,) = served.set_one_by_one(messages_of(confidence_threshold=0.75))
+    (result,) = active.set_one_by_one(messages_of(confidence_threshold=0.75))
     assert not result.successful
     assert "the subscription failed" in result.reason
-    assert served.get("confidence_threshold") == 0.25
+    assert active.get("confidence_threshold") == 0.25
     assert applied == [0.75, 0.25]
-    assert served.node._settings.settings() == Settings()
+    assert active.node._settings.settings() == Settings()
 
 
 # Reloads
 
 
 def test_while_a_model_is_loaded_frames_are_detected_and_another_model_is_refused(
-    served: ServedNode, prepare: Preparations
+    active: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("active")
     prepare.gate.clear()
     prepared = len(prepare.sizes_hw)
-    reload = served.begin_set(image_size=320)
-    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the reload to begin")
-    done, reason = served.set(image_size=352)
-    assert not done
+    reload = active.begin_set(image_size=320)
+    active.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the reload to begin")
+    reason = active.refusal(image_size=352)
     assert reason.startswith("another model is being loaded: set this again once that has been answered")
-    assert served.set(confidence_threshold=0.5) == (True, "")
-    assert class_ids_of(served.detect()) == ["cat"]
-    assert (served.state(), served.get("image_size"), reload.done()) == ("active", 640, False)
+    assert active.set(confidence_threshold=0.5) == (True, "")
+    assert class_ids_of(active.detect()) == ["cat"]
+    assert (active.state(), active.get("image_size"), reload.done()) == ("active", 640, False)
     prepare.gate.set()
-    served.wait_for(reload.done, "the answer")
+    active.wait_for(reload.done, "the answer")
     assert reload.result().result.successful
-    settings = served.node._settings.settings()
+    settings = active.node._settings.settings()
     assert (settings.image_size, settings.confidence_threshold) == (320, 0.5)
-    assert served.set(image_size=352) == (True, "")
+    assert active.set(image_size=352) == (True, "")
     assert [runtime.is_closed for runtime in prepare.runtimes] == [True, True, False]
 
 
 @pytest.mark.parametrize("label", ["deactivate", "shutdown"])
 def test_leaving_active_wins_over_a_reload_and_the_next_one_is_carried_out(
-    served: ServedNode, prepare: Preparations, label: str
+    active: ServedNode, prepare: Preparations, label: str
 ) -> None:
-    served.bring_to("active")
     prepare.gate.clear()
     prepared = len(prepare.sizes_hw)
-    reload = served.begin_set(image_size=320)
-    served.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the reload to begin")
-    assert served.transition(label)
+    reload = active.begin_set(image_size=320)
+    active.wait_for(lambda: len(prepare.sizes_hw) > prepared, "the reload to begin")
+    assert active.transition(label)
     prepare.gate.set()
-    served.wait_for(reload.done, "the answer")
+    active.wait_for(reload.done, "the answer")
     assert not reload.result().result.successful
     assert "left the active state" in reload.result().result.reason
-    assert served.get("image_size") == 640
+    assert active.get("image_size") == 640
     assert all(runtime.is_closed for runtime in prepare.runtimes)
     if label == "deactivate":
-        assert served.transition("activate")
-        assert served.set(image_size=384) == (True, "")
+        assert active.transition("activate")
+        assert active.set(image_size=384) == (True, "")
 
 
 def test_a_loaded_file_with_new_classes_and_new_weights_says_how_to_set_both(
-    served: ServedNode, prepare: Preparations
+    active: ServedNode, prepare: Preparations
 ) -> None:
-    served.bring_to("active")
-    assert served.set(classes=["cat"], class_thresholds=["cat: 0.5"]) == (True, "")
+    assert active.set(classes=["cat"], class_thresholds=["cat: 0.5"]) == (True, "")
     prepare.class_names = ("star", "circle")
     asked = messages_of(weights="/other.pt", classes=["star"], class_thresholds=["star: 0.5"])
-    of_weights, of_classes, of_thresholds = served.set_one_by_one(asked)
+    of_weights, of_classes, of_thresholds = active.set_one_by_one(asked)
     assert "class_thresholds: 'cat' is not a class of the model" in of_weights.reason
     assert "`classes`, `class_thresholds` still names classes of the running model" in of_weights.reason
     assert "'star' is not a class of the model" in of_classes.reason
     assert "If it depends on another parameter of this request: set both together" in of_classes.reason
     assert not of_thresholds.successful
-    assert class_ids_of(served.detect()) == ["cat"]
-    assert served.set_messages(asked) == (True, "")
-    assert served.label_info().class_map[0].class_name == "star"
+    assert class_ids_of(active.detect()) == ["cat"]
+    assert active.set_messages(asked) == (True, "")
+    assert active.label_info().class_map[0].class_name == "star"
