@@ -6,7 +6,7 @@ import os
 import sys
 import textwrap
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from numpy.typing import NDArray
-from rcl_interfaces.srv import ListParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import ListParameters, SetParameters
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from vision_msgs.msg import Detection2DArray
@@ -80,6 +81,7 @@ class DetectorProcess:
         observer.create_subscription(DiagnosticArray, "/diagnostics", self._diagnostics.append, 10)
         self._raw_transitions = observer.create_client(ChangeState, f"{NODE}/change_state")
         self._names = observer.create_client(ListParameters, f"{NODE}/list_parameters")
+        self._raw_parameters = observer.create_client(SetParameters, f"{NODE}/set_parameters")
         self._images: Any = None
         self.node.wait_until_reachable()
 
@@ -92,6 +94,11 @@ class DetectorProcess:
         while (now := self.node.state()) != state:
             step = STEPS[now, state]
             assert self.transition(step), f"{step} was refused:\n{self.process.output}"
+
+    def set_one_by_one(self, messages: Sequence[Any]) -> list[Any]:
+        return list(
+            self.observer.call(self._raw_parameters, SetParameters.Request(parameters=messages)).results
+        )
 
     def status(self) -> dict[str, str]:
         """The values of the first diagnostics made from now on, their `message` and `level` (as `OK`)."""
@@ -136,8 +143,9 @@ class DetectorProcess:
         self.bring_to("unconfigured")
         listed = self.observer.call(self._names, ListParameters.Request()).result.names
         overrides = [name for name in listed if "." in name and not name.startswith(QOS_PREFIX)]
+        assert all(r.successful for r in self.set_one_by_one([ParameterMessage(name=n) for n in overrides]))
         defaults = {s.name: s.default for s in SETTINGS if s.change is not Change.READ_ONLY}
-        assert self.node.set_parameters(**dict.fromkeys(overrides) | defaults | PARAMETERS) == ""
+        assert self.node.set_parameters(**defaults | PARAMETERS) == ""
         self.detections.clear()
 
 
