@@ -35,11 +35,6 @@ RELIABLE = QoSProfile(depth=10)
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return grey_folder(tmp_path)
-
-
 @pytest.mark.parametrize("encoding", get_args(CameraSettings.model_fields["encoding"].annotation))
 @pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
 def test_what_is_encoded_is_decoded_to_the_same_colours(channel_order: ChannelOrder, encoding: str) -> None:
@@ -203,7 +198,10 @@ def first_info(observer: Observer) -> CameraInfo:
 
 
 @pytest.mark.long
-def test_camera_info_is_kept_for_late_subscribers(observer: Observer, ros_domain: int, folder: Path) -> None:
+def test_camera_info_is_kept_for_late_subscribers(
+    observer: Observer, ros_domain: int, tmp_path: Path
+) -> None:
+    folder = grey_folder(tmp_path)
     once_in_a_thousand_seconds = {"source": str(folder / "8.png"), "rate": 0.001}
     calibrated = {"camera_info_url": camera_info_url(folder, 32, 24), "frame_id": "lens"}
     with camera_process(ros_domain, "--ros-args", *as_arguments(once_in_a_thousand_seconds | calibrated)):

@@ -79,12 +79,6 @@ def wait_for_value(page: Page, name: str, value: object) -> None:
     page.wait_for(lambda: page.parameter(name)["value"] == value, f"{name} {value}")
 
 
-def activate(page: Page, node: str = NODE) -> None:
-    for label in ("configure", "activate"):
-        assert page.ask(type="transition", node=node, label=label) == ""
-    page.wait_for_state("active", node)
-
-
 def test_a_page_is_welcomed_and_told_of_each_detector_and_no_other_node(
     console: ConsoleBesideNode, page: Page
 ) -> None:

@@ -58,17 +58,10 @@ def test_a_port_in_use_is_explained() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("words", "code", "expected"),
-    [
-        pytest.param(["--host", "::", "--token-file", "/dev/null"], 1, "regular file", id="token"),
-        pytest.param(["--ros-args", "-r", "__node:=a b"], 2, "cannot start", id="ROS argument"),
-    ],
-)
-def test_what_cannot_be_used_is_explained(words: list[str], code: int, expected: str) -> None:
-    ended = run("--port", "0", *words)
-    assert (ended.returncode, ended.stdout) == (code, "")
-    assert expected in ended.stderr
+def test_an_argument_that_ros_refuses_is_explained() -> None:
+    ended = run("--port", "0", "--ros-args", "-r", "__node:=a b")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "cannot start" in ended.stderr
     assert "Traceback" not in ended.stderr
 
 

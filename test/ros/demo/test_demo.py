@@ -135,9 +135,6 @@ def test_objects_are_matched_one_to_one_and_within_their_class(
 ) -> None:
     assert sorted(matched(message(TRUTH), message(seen))) == sorted(pairs)
     assert matched(message([]), message(seen)) == []
-
-
-def test_one_box_belongs_to_one_object_only() -> None:
     assert matched(message([("star", 0.0), ("star", 2.0)]), message([("star", 0.5)])) == [(0, 0)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
@@ -13,19 +12,6 @@ from support.served_node import ServedNode, class_ids_of, image
 
 def fail() -> np.ndarray:
     raise RuntimeError("the device is on fire")
-
-
-def test_detections_carry_the_header_of_their_image(active: ServedNode) -> None:
-    message = image()
-    message.header.frame_id = "front"
-    message.header.stamp.sec, message.header.stamp.nanosec = 12, 34
-    active.publish(message)
-    active.wait_for(lambda: bool(active.detections), "a detection")
-    array = active.detections[0]
-    assert array.header == message.header
-    assert [detection.header for detection in array.detections] == [message.header]
-    assert array.detections[0].id == ""
-    assert (array.detections[0].bbox.size_x, array.detections[0].bbox.size_y) == pytest.approx((2, 1))
 
 
 def test_failures_in_a_row_deactivate_the_node_with_the_reason(

@@ -182,22 +182,6 @@ def test_the_frame_changes_live_and_transforms_are_received_while_somebody_needs
     assert "without a leading slash, such as base_link" in camera.served.refusal(target_frame="/map")
 
 
-def test_a_recording_that_begins_again_forgets_what_was_received(
-    camera: DepthClient, transforms: ScriptedTransforms
-) -> None:
-    camera.sent = 100
-    camera.place()
-    assert transforms.forgotten == 0
-    camera.sent, before = 10, len(camera.placed)
-
-    def is_forgotten() -> bool:
-        camera.send_depth()
-        camera.send()
-        return transforms.forgotten > 0 and len(camera.placed) > before
-
-    camera.served.wait_for(is_forgotten, "time to begin again")
-
-
 def test_without_tf2_a_frame_is_refused_with_what_to_install(
     prepare: Preparations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
