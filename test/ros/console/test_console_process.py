@@ -55,6 +55,7 @@ def test_a_port_in_use_is_explained() -> None:
         ended = run("--port", str(port))
     assert ended.returncode == 1
     assert f"port {port} of 127.0.0.1 is in use, perhaps by another console: choose" in ended.stderr
+    assert "Traceback" not in ended.stderr
 
 
 @pytest.mark.long
