@@ -181,24 +181,21 @@ def test_a_model_that_no_worker_can_load_ends_the_run(answer: Answer, told: str,
     assert scripted.plan.output.is_dir()
 
 
-def test_another_worker_that_cannot_load_the_model_ends_the_run(tmp_path: Path) -> None:
-    scripted = ScriptedRun(
-        tmp_path, on_load=lambda plan: loaded(plan) if plan.settings.runtime == "auto" else None
-    )
-    with pytest.raises(DetectingError, match=r"another worker could not start: .*give a smaller --jobs"):
-        scripted.run()
-    assert scripted.all_have_ended
-
-
-def test_another_worker_that_dies_while_the_first_loads_the_model_ends_the_run(tmp_path: Path) -> None:
-    scripted = ScriptedRun(
+def test_another_worker_that_dies_before_or_after_the_first_has_loaded_the_model_ends_the_run(
+    tmp_path: Path,
+) -> None:
+    before = ScriptedRun(
         tmp_path,
         on_load=lambda _: "nothing yet",
-        on_progress=lambda _: scripted.workers[1]._process_end.close(),
+        on_progress=lambda _: before.workers[1]._process_end.close(),
     )
-    with pytest.raises(DetectingError, match=r"another worker could not start: .*give a smaller --jobs"):
-        scripted.run()
-    assert scripted.all_have_ended
+    after = ScriptedRun(
+        tmp_path, on_load=lambda plan: loaded(plan) if plan.settings.runtime == "auto" else None
+    )
+    for scripted in (before, after):
+        with pytest.raises(DetectingError, match=r"another worker could not start: .*give a smaller --jobs"):
+            scripted.run()
+        assert scripted.all_have_ended
 
 
 def test_the_run_ends_with_the_last_result_even_if_another_worker_still_loads_the_model(

@@ -69,7 +69,7 @@ def losses_after(*steps: Step) -> ImageLosses:
         ),
         pytest.param(
             # The late one is the last of the other, still in the queue.
-            [("match", None, 2, True), ("match", FRONT, 2, False), ("late", 9000), ("take", 100, 103)],
+            [("match", None, 2, True), ("match", FRONT, 2, False), ("late", 90), ("take", 100, 103)],
             0,
             2,
             id="counting begins again when the second has left",
