@@ -38,6 +38,13 @@ FLOOR_SCENES: dict[str, dict[str, Any]] = {
     "ideal depth, exact boxes": {"is_ideal": True},
     "as measured": {},
     "as measured, others nearby": {"has_company": True},
+    "ideal depth, between walls": {"is_ideal": True, "is_between_walls": True},
+    "ideal depth, between walls, half hidden": {
+        "is_ideal": True,
+        "is_between_walls": True,
+        "is_half_hidden": True,
+    },
+    "as measured, between walls, half hidden": {"is_between_walls": True, "is_half_hidden": True},
     **{f"ideal depth, {lens}": {"is_ideal": True, "camera": camera} for lens, camera in LENSES.items()},
 }
 KNOWN: dict[str, Callable[[DepthScene], Masks | None]] = {
@@ -53,7 +60,7 @@ GROUPS: dict[str, Callable[[DepthScene], bool]] = {
     "1.5 to 3 m": lambda scene: 1.5 < scene.range_m <= 3,
     "3 to 7 m": lambda scene: scene.range_m > 3,
     "nothing hidden": lambda scene: scene.hidden_share == 0,
-    "up to 30 % hidden": lambda scene: scene.hidden_share > 0,
+    "up to 30 % hidden": lambda scene: 0 < scene.hidden_share <= 0.3,
 }
 COSTS = ((1, (480, 640)), (20, (480, 640)), (20, (720, 1280)), (1000, (480, 640)), (1000, (12288, 16384)))
 """Boxes and image sizes."""

@@ -102,6 +102,15 @@ def test_95_of_100_centres_of_solids_and_furniture_are_at_most_5_percent_of_the_
     assert np.quantile([floor_errors(kind, is_ideal=True) for kind in KINDS], 0.95) <= 0.05
 
 
+def test_of_half_hidden_solids_between_walls_95_of_100_are_at_most_10_percent_of_the_range_away() -> None:
+    rng = np.random.default_rng(24)
+    scenes = [
+        random_floor_scene(rng, kind, is_ideal=True, is_between_walls=True, is_half_hidden=True)
+        for kind in ("cuboid", "cylinder", "person") * SCENES_PER_SHAPE
+    ]
+    assert np.quantile([error_of(scene) for scene in scenes], 0.95) <= 0.1
+
+
 @pytest.mark.parametrize("lens", LENSES)
 def test_through_a_lens_the_median_error_of_the_centre_is_at_most_2_percent_of_the_range(lens: str) -> None:
     rng = np.random.default_rng(24)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,17 @@ from numpy.typing import NDArray
 from support.depth_scene import CAMERA, one_mask
 
 from yolov5_lifecycle.detection.masks import Masks
-from yolov5_lifecycle.spatial.box_samples import GRID, IS_AROUND, SIDE, around, inside, is_background, sampled
+from yolov5_lifecycle.spatial.box_samples import (
+    GRID,
+    IS_AROUND,
+    RING,
+    SIDE,
+    around,
+    inside,
+    is_on_plane_beyond,
+    is_on_surface_beyond,
+    sampled,
+)
 from yolov5_lifecycle.spatial.camera_model import Distortion
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.surface import Surfaces, surfaces_in
@@ -58,8 +69,8 @@ def extents(found: NDArray[np.float32]) -> tuple[float, float]:
         pytest.param(rows((20, NAN)), 2.0, (NAN, NAN), id="no measurement"),
         pytest.param(rows((20, 2.0)), 2.0, (2.0, 2.0), id="the same around"),
         pytest.param(rows((11, 2.0), (9, NAN)), 2.0, (2.0, 2.0), id="the same around, half measured"),
-        pytest.param(rows((6, 1.0), (14, 2.0)), NAN, (1.0, 1.0), id="the nearer of two"),
-        pytest.param(rows((2, 1.0), (18, 2.0)), NAN, (2.0, 2.0), id="the nearer one is too small"),
+        pytest.param(rows((7, 1.0), (13, 2.0)), NAN, (1.0, 1.0), id="the nearer of two"),
+        pytest.param(rows((6, 1.0), (14, 2.0)), NAN, (2.0, 2.0), id="the nearer one is too small"),
         pytest.param(rows((12, 1.0), (8, 2.0)), 1.0, (2.0, 2.0), id="the nearer one goes on around"),
         pytest.param(rows((10, 1.0), (10, 3.0)), 3.0, (1.0, 1.0), id="the farther one goes on around"),
         pytest.param(rows((10, 1.0), (4, 1.1), (6, 3.0)), 3.0, (1.0, 1.1), id="a step"),
@@ -79,7 +90,7 @@ def test_a_surface_stands_out(inside: Depth, around: float, expected: tuple[floa
         pytest.param(rows((14, 4.0), (6, 2.0)), slice(12, 18), (2.0, 2.0), id="two pixels aside"),
         pytest.param(rows((6, 1.0), (14, 2.0)), slice(0, 20), (2.0, 2.0), id="a part of what is nearer"),
         pytest.param(rows((12, 2.0), (3, 2.9), (5, 4.0)), slice(0, 20), (2.0, 2.9), id="a part behind"),
-        pytest.param(rows((13, 2.0), (2, 2.9), (5, 4.0)), slice(0, 20), (2.0, 2.0), id="too small a part"),
+        pytest.param(rows((14, 2.0), (1, 2.9), (5, 4.0)), slice(0, 20), (2.0, 2.0), id="too small a part"),
         pytest.param(rows((20, 2.0)), slice(0, 0), (2.0, 2.0), id="empty, as without"),
         pytest.param(rows((12, 2.0), (8, NAN)), slice(14, 20), (NAN, NAN), id="not measured"),
         pytest.param(rows((14, 2.0), (6, 4.0)), slice(17, 20), (2.0, 2.0), id="only background in it"),
@@ -124,7 +135,7 @@ WALL: Depth = 300 / (COLUMNS + 60.0)
 
 def background(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
     samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box, CAMERA)
-    return np.asarray(is_background(samples)[0])
+    return np.asarray(is_on_plane_beyond(samples)[0])
 
 
 def measured(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
@@ -152,7 +163,7 @@ def test_a_plane_goes_on_where_the_lens_sees_nothing() -> None:
     samples = sampled(DepthImage(np.full(CAMERA.size_hw, 3, np.float32), 1.0), at_the_edge, camera)
     is_measured = ~np.isnan(samples.metres)
     assert 0.7 < is_measured.mean() < 0.95
-    np.testing.assert_array_equal(is_background(samples), is_measured)
+    np.testing.assert_array_equal(is_on_plane_beyond(samples), is_measured)
 
 
 def test_a_plane_is_found_in_noise_that_grows_with_the_square_of_the_depth() -> None:
@@ -195,6 +206,138 @@ def test_what_is_not_measured_is_not_background(value: float) -> None:
 def test_random_depth_has_no_background_plane() -> None:
     depth_m = np.random.default_rng(0).uniform(0.5, 8, (120, 160))
     assert around(background(depth_m)[None]).mean() < 0.1
+
+
+def beyond(depth_m: Depth, is_free: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """Which samples (GRID, GRID) of FLOOR_BOX are on a surface that goes on, if no plane is known."""
+    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), FLOOR_BOX, CAMERA)
+    free = ~np.isnan(samples.metres) if is_free is None else is_free[None]
+    return np.asarray(is_on_surface_beyond(samples, free)[0])
+
+
+CRATE = np.maximum(60 / (ROWS + 1.0), 0.9)
+"""Its top and its front, the edge between them at row 66."""
+IS_CRATE = (ROWS >= 55) & (COLUMNS >= 30) & (COLUMNS < 130)
+
+
+def test_a_crate_that_hides_a_part_goes_on_with_its_top_and_its_front() -> None:
+    found = beyond(np.where(IS_CRATE, CRATE, np.where(IN_FLOOR_BOX, 2.0, 5.0)))
+    assert not inside(found[None])[0, :7].any()
+    assert inside(found[None])[0, 8:].all()
+    assert found[IS_AROUND].all()
+
+
+def test_what_stands_on_a_floor_is_not_connected_with_it() -> None:
+    floor_m = np.where(ROWS > 45, 60 / np.maximum(ROWS - 40, 1), 12.0)
+    found = beyond(np.where(IN_FLOOR_BOX, floor_m[79, 0], floor_m))
+    assert inside(found[None]).mean() < 0.1
+    assert found[-RING:].all()
+
+
+@pytest.mark.parametrize(
+    ("depth_of_row", "is_one"),
+    [
+        pytest.param(lambda row: 2.0 + 0.01 * (row >= 12), True, id="a step of 0.5 %"),
+        pytest.param(lambda row: 2.0 + 0.1 * (row >= 12), False, id="a step of 5 %"),
+        pytest.param(lambda row: 2.0 * 1.1 ** np.maximum(12 - row, 0), True, id="slanted"),
+        pytest.param(
+            lambda row: 2.0 * 1.2 ** np.maximum(12 - row, 0), False, id="too slanted to tell from a step"
+        ),
+        pytest.param(lambda row: 2.0 * 1.08 ** -abs(row - 12), False, id="an inner corner"),
+        pytest.param(lambda row: 2.0 * 1.08 ** abs(row - 12), True, id="an outer edge"),
+    ],
+)
+def test_a_surface_ends_at_steps_and_inner_corners(
+    depth_of_row: Callable[[Depth], Depth], is_one: bool
+) -> None:
+    """A post that reaches from below to the fifth row of samples in the box."""
+    row = (ROWS - 40) / 2
+    is_post = (row >= 4) & (COLUMNS >= 70) & (COLUMNS < 90)
+    depth_m = np.where(is_post, depth_of_row(row), np.where(IN_FLOOR_BOX, 40.0, 99.0))
+    found = inside(beyond(depth_m)[None])[0, :, 5:15]
+    assert found[14:].all()
+    assert found[4:11].all() == is_one
+    assert not found[:4].any()
+
+
+@pytest.mark.parametrize(
+    ("in_box", "on_ring", "is_found"),
+    [
+        pytest.param(slice(0, 10), slice(0, 3), True, id="much beyond"),
+        pytest.param(slice(0, 10), slice(3, 3), False, id="nothing beyond"),
+        pytest.param(slice(0, 8), slice(2, 3), True, id="a little beyond"),
+        pytest.param(slice(0, 16), slice(0, 3), True, id="most of what is in the box"),
+        pytest.param(slice(0, 18), slice(2, 3), False, id="too little of what is in the box"),
+        pytest.param(slice(0, 18), slice(0, 3), False, id="hardly anything else in the box"),
+    ],
+)
+def test_a_surface_goes_on_if_enough_of_it_is_beyond_the_box(
+    in_box: slice, on_ring: slice, is_found: bool
+) -> None:
+    is_free = np.zeros((GRID, GRID), np.bool_)
+    inside(is_free[None])[0, in_box] = True
+    inside(is_free[None])[0, in_box.stop + 1 :] = True  # something else
+    is_free[on_ring, RING:-RING] = True
+    found = inside(beyond(np.full((120, 160), 2.0), is_free)[None])[0]
+    assert found[in_box].all() == found.any() == is_found
+    assert not found[in_box.stop :].any()
+
+
+@pytest.mark.parametrize(("columns", "is_found"), [(2, False), (4, True)], ids=["2 %", "4 %"])
+def test_a_few_samples_beyond_the_box_are_no_surface_there(columns: int, is_found: bool) -> None:
+    is_free = np.zeros((GRID, GRID), np.bool_)
+    is_free[:RING, RING : RING + columns] = True
+    inside(is_free[None])[0, :2] = inside(is_free[None])[0, -5:] = True
+    assert beyond(np.full((120, 160), 2.0), is_free).any() == is_found
+
+
+@pytest.mark.parametrize("size_wh", [(8, 8), (16, 24), (30, 34), (50, 12), (40, 80)])
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.6])
+def test_a_slanted_surface_is_one_in_boxes_of_every_size(size_wh: tuple[int, int], shift: float) -> None:
+    corner = np.array((60.0, 30.0)) + shift
+    box = np.array([[*corner, *(corner + size_wh)]], np.float32)
+    slanted_m = (2 * np.exp(0.03 * (90 - ROWS - COLUMNS))).astype(np.float32)
+    samples = sampled(DepthImage(slanted_m, 1.0), box, CAMERA)
+    is_free = np.ones((1, GRID, GRID), np.bool_)
+    is_free[0, RING + 5 : -RING] &= IS_AROUND[RING + 5 : -RING]
+    is_free[0, RING + 7 : -RING, RING:-RING] = True  # the object, apart from it
+    is_free[0, RING + 6 :, : RING + 1] = is_free[0, RING + 6 :, -RING - 1 :] = is_free[0, -RING:] = False
+    found = inside(is_on_surface_beyond(samples, is_free))[0]
+    assert found[:5].all()
+    assert not found[5:].any()
+
+
+def test_what_would_leave_only_planes_is_the_object() -> None:
+    is_free = np.zeros((GRID, GRID), np.bool_)
+    is_free[: RING + 9] = True
+    assert not beyond(np.full((120, 160), 2.0), is_free).any()
+
+
+def test_a_curved_thing_that_hides_half_of_it_is_not_the_object() -> None:
+    """A barrel at the left, of which no plane explains much."""
+    barrel_m = 1.5 - np.sqrt(np.maximum(0.25 - ((COLUMNS - 62) / 60) ** 2, 0))
+    depth_m = np.where(IN_FLOOR_BOX, 2.5, 9.0)
+    depth_m[:, 45:79] = barrel_m[:, 45:79]
+    ((_, found),) = surfaces_in(FLOOR_BOX, DepthImage(depth_m.astype(np.float32), 1.0), CAMERA)
+    assert extents(found.metres[0]) == (2.5, 2.5)
+
+
+def test_a_surface_is_not_continued_in_the_next_box() -> None:
+    """The first one's lowest samples are next to the second one's highest."""
+    depth = DepthImage(np.full((120, 160), 2, np.float32), 1.0)
+    samples = sampled(depth, np.concatenate((FLOOR_BOX, FLOOR_BOX)), CAMERA)
+    is_free = np.zeros((2, GRID, GRID), np.bool_)
+    is_free[0, RING : RING + 10, RING:-RING] = is_free[0, RING + 9 :, RING] = is_free[1, :RING] = True
+    is_free[0, RING + 11 : RING + 15, RING + 5 : -RING] = True
+    assert not is_on_surface_beyond(samples, is_free)[0].any()
+
+
+def test_what_goes_on_beyond_the_box_still_tells_what_is_seen_through_the_object() -> None:
+    """A post at the right, and the same distance in a hole of the object."""
+    depth_m = np.full((80, 80), 9, np.float32)
+    depth_m[IN_BOX] = 3
+    depth_m[:, 48:] = depth_m[36:44, 36:44] = 4
+    assert extents(seen(depth_m).metres[0]) == (3.0, 3.0)
 
 
 def test_the_samples_lie_in_the_box_and_on_a_ring_around_it() -> None:

@@ -28,6 +28,7 @@ MAX_PITCH = math.radians(45)
 _RANGES_M = (0.6, 7.0)
 _MIN_SIDE_PX = 16
 _EDGE_PX = 2  # objects end at least that far from the edge of the image
+_SHOWN = (0.3, 0.75)  # of the pixels of what a crate hides a part of
 
 
 @dataclass(frozen=True)
@@ -70,25 +71,37 @@ def random_floor_scene(
     *,
     is_ideal: bool = False,
     has_company: bool = False,
+    is_half_hidden: bool = False,
+    is_between_walls: bool = False,
     camera: Intrinsics = CAMERA,
 ) -> DepthScene:
     """An object on a floor before a wall, entirely in the image.
 
     `is_ideal`: the depth of each pixel is exact and the box is tight. Otherwise the depth has noise, mixed
     pixels and 30 % holes, and the sides of the box are off. `has_company`: two other objects stand nearby.
+    `is_half_hidden`: a crate stands before it. `is_between_walls`: there are walls on both sides, too.
     `camera` has an image of the size of CAMERA.
     """
+    least, most = _SHOWN if is_half_hidden else (0.7, 1.0)
     while True:
         view, parts = _random_view(rng), KINDS[kind](rng)
         if not _fits(view, parts, camera):
             continue
         surface = rendered(view, parts, camera)
-        others = _company(rng, view, camera) if has_company else np.full_like(surface, np.inf)
+        others = np.full_like(surface, np.inf)
+        if has_company:
+            others = _company(rng, view, camera)
+        if is_half_hidden:
+            others = np.minimum(others, _crate_before(rng, view, camera))
         seen = np.isfinite(surface) & (surface < others)
-        if seen.sum() >= max(40, 0.7 * np.isfinite(surface).sum()):
+        if seen.sum() >= 40 and least <= seen.sum() / np.isfinite(surface).sum() <= most:
             break
     turned, wall_m = rng.uniform(-0.6, 0.6), rng.uniform(1.0, 5.0)
-    depth_m = np.fmin(np.minimum(surface, others), room(view, turned=turned, wall_m=wall_m, camera=camera))
+    around = room(view, turned=turned, wall_m=wall_m, camera=camera)
+    if is_between_walls:
+        away_m = float(np.ptp([part.corners for part in parts], axis=(0, 1)).max())
+        around = np.minimum(around, _side_walls(rng, view, turned, away_m, camera))
+    depth_m = np.fmin(np.minimum(surface, others), around)
     lower, upper = bounds(np.where(seen, surface, np.inf), camera)
     return DepthScene(
         depth_m=_exact(depth_m) if is_ideal else measured_by_a_sensor(rng, depth_m, 0.3),
@@ -141,6 +154,27 @@ def _company(rng: np.random.Generator, view: View, camera: Intrinsics) -> Array:
         other = View(view.height_m, view.pitch, x_m, max(z_m, 0.5), rng.uniform(0, 2 * math.pi))
         found.append(rendered(other, KINDS[kind](rng), camera))
     return np.minimum(*found)
+
+
+def _crate_before(rng: np.random.Generator, view: View, camera: Intrinsics) -> Array:
+    """Depth (H, W) of a cuboid at half to three quarters of the way to the object."""
+    share = rng.uniform(0.45, 0.75)
+    x_m, z_m = share * view.x_m + rng.uniform(-0.4, 0.4), share * view.z_m - 0.1
+    crate = View(view.height_m, view.pitch, x_m, z_m, rng.uniform(0, 2 * math.pi))
+    return rendered(crate, KINDS["cuboid"](rng), camera)
+
+
+def _side_walls(
+    rng: np.random.Generator, view: View, turned: float, away_m: float, camera: Intrinsics
+) -> Array:
+    """Depth (H, W) of two walls, at least that far to the left and right of the camera and the object."""
+    x, _, _ = View(view.height_m, view.pitch, 0, 0, turned).local(np.stack(rays(camera)))
+    object_x_m = math.cos(turned) * view.x_m - math.sin(turned) * view.z_m
+    found: Array = np.full_like(x, np.inf)
+    for side in (-1, 1):
+        wall_m = max(side * object_x_m, 0) + away_m + rng.uniform(0.05, 1.5)
+        found = np.minimum(found, np.where(side * x > 1e-6, wall_m / np.maximum(side * x, 1e-6), np.inf))
+    return found
 
 
 def room(view: View, wall_m: float, turned: float = 0.0, camera: Intrinsics = CAMERA) -> Array:

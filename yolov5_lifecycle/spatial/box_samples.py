@@ -1,8 +1,9 @@
 """Samples of a depth image in and around boxes, and which of them are background.
 
-They lie on a grid, so that the cost does not depend on the size of a box. Background are planes that go on
-around a box: the floor, a wall, or a board before the object. Along a plane in space, 1 / depth changes
-linearly with x / z and y / z of the rays, so that the height of the camera need not be known.
+They lie on a grid, so that the cost does not depend on the size of a box. Background is what goes on around a
+box: planes, as the floor and walls, and whatever else is connected, as a crate before the object. Along a
+plane in space, 1 / depth changes linearly with x / z and y / z of the rays, so that the height of the camera
+need not be known.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -152,7 +154,7 @@ _LEAST = _MIN_MEASURED * _GROUPS.sum(axis=1)
 _TRIPLES = _triples()
 
 
-def is_background(samples: BoxSamples) -> NDArray[np.bool_]:
+def is_on_plane_beyond(samples: BoxSamples) -> NDArray[np.bool_]:
     """Which of the samples (n, GRID, GRID) are on planes that go on around the box."""
     count = len(samples.metres)
     terms = _terms(samples)
@@ -258,3 +260,53 @@ def _is_on(plane: Array, noise: Array, terms: Array) -> NDArray[np.bool_]:
     tolerance = terms[:, 2] * (_NOISE * noise)[:, None].astype(np.float32)
     np.clip(tolerance, _MIN_TOLERANCE, _MAX_TOLERANCE, out=tolerance)
     return np.asarray(np.abs(errors, out=errors) < tolerance)
+
+
+_MAX_SLOPE = 0.15
+"""Of the depth's logarithm, from a sample in a box to the next: steeper is a step to another surface."""
+_MIN_CORNER = 0.01
+"""Change of this slope in an inner corner, where one thing stands on or at another, and behind a step."""
+_MIN_BEYOND = 0.03
+"""Share of the samples around a box that a surface must have to go on there."""
+_BEYOND_OF_INSIDE = 0.15
+"""The same as a part of its share of the samples in the box."""
+_MIN_LEFT = 0.1
+"""Share of the samples in a box that must be left, otherwise the object itself extends beyond its box."""
+
+
+def is_on_surface_beyond(samples: BoxSamples, is_free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the free samples (n, GRID, GRID), on no plane, are connected with many around the box."""
+    numbers, count = _surface_numbers(samples, is_free)
+    in_box = np.bincount(inside(numbers)[inside(is_free)], minlength=count) / SIDE**2
+    beyond = np.bincount(around(numbers)[around(is_free)], minlength=count) / IS_AROUND.sum()
+    is_beyond = (beyond >= _MIN_BEYOND) & (beyond > _BEYOND_OF_INSIDE * in_box)
+    found = is_beyond[numbers]
+    is_object_left = inside(is_free & ~found).mean(axis=(1, 2)) >= _MIN_LEFT
+    return np.asarray(found & is_object_left[:, None, None])
+
+
+def _surface_numbers(samples: BoxSamples, is_free: NDArray[np.bool_]) -> tuple[NDArray[np.int32], int]:
+    """A number for each connected surface of free samples (n, GRID, GRID), and how many numbers there are."""
+    logs = np.log(samples.metres, where=is_free, out=np.full_like(samples.metres, np.nan))
+    # Every second pixel is a sample, those between are connections; an empty line separates the boxes.
+    pixels = np.zeros((len(logs), 2 * GRID, 2 * GRID), np.uint8)
+    pixels[:, ::2, ::2] = is_free
+    pixels[:, ::2, 1:-1:2] = _is_connected(logs, samples.columns)
+    pixels[:, 1:-1:2, ::2] = _is_connected(logs.transpose(0, 2, 1), samples.rows).transpose(0, 2, 1)
+    count, numbers = cv2.connectedComponents(pixels.reshape(-1, 2 * GRID), connectivity=4)
+    return np.asarray(numbers.reshape(pixels.shape)[:, ::2, ::2], np.int32), count
+
+
+def _is_connected(logs: Array, places: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether samples next to each other along the last axis are on one surface (n, GRID, GRID - 1).
+
+    `logs` (n, GRID, GRID) are those of the depths, NaN where none counts, `places` (n, GRID) the pixels.
+    """
+    gaps = np.diff(places, axis=1)[:, None]
+    in_box = np.maximum((places[:, -RING - 1] - places[:, RING]) / (SIDE - 1), 1)[:, None, None]
+    slopes = np.diff(logs, axis=2) * (in_box / np.maximum(gaps, 1)).astype(np.float32)
+    slopes[~(abs(slopes) < _MAX_SLOPE)] = np.nan
+    is_corner = np.zeros(logs.shape, np.bool_)
+    is_corner[..., 1:-1] = np.diff(slopes, axis=2) < -_MIN_CORNER
+    is_corner[..., 1:-1] &= (gaps[..., 1:] > 0) & (gaps[..., :-1] > 0)  # not within a pixel
+    return np.asarray(~np.isnan(slopes) & ~is_corner[..., 1:] & ~is_corner[..., :-1])

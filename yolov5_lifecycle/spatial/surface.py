@@ -1,9 +1,9 @@
 """Finds the surface of the object in each box.
 
 A box also holds background, and often something nearer that hides a part of the object. Both extend beyond
-the box, the object does not: planes that go on around the box are removed first, and of what is left a depth
-counts by how much more frequent it is in the box than around it. Where the object's mask is known, only what
-lies in it counts.
+the box, the object does not: planes and other surfaces that go on around the box are removed first, and of
+what is left a depth counts by how much more frequent it is in the box than around it. Where the object's mask
+is known, only what lies in it counts.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from yolov5_lifecycle.spatial.box_samples import (
     BoxSamples,
     around,
     inside,
-    is_background,
+    is_on_plane_beyond,
+    is_on_surface_beyond,
     sampled,
 )
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
@@ -37,9 +38,13 @@ _BIN_WIDTH = math.log(1.025)
 """Depths are counted in bins of 2.5 %, so that near and far objects are resolved equally well."""
 _MIN_RING_SHARE = 0.25
 """Share of the samples around a box; fewer count for less, as at the edge of the image."""
+_RING_WEIGHT = 1.5
+"""Of what is around a box. More than 1, because a slope has other depths in the box than around it."""
+_MIN_OF_PEAK = 0.5
+"""Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
 _MIN_EXCESS = 0.03
 """Share of the samples in a box; less is noise: then only the depths in the box count."""
-_SURFACE_END = 0.06
+_SURFACE_END = 0.05
 """Share of the excess of the surface's peak: bins with less are a gap in the surface, or beyond it."""
 _FULL_SURFACE_END = 0.2
 """The same where the background could not be told from the object."""
@@ -49,7 +54,9 @@ _GAP_BEFORE, _GAP_BEHIND = 1, 4
 """Bins without samples that a surface may reach across, as from a seat to the back, or from leg to leg."""
 _GAP_TO_PART = 20
 """Bins that a part of the object may be farther behind, as the other legs of a table seen edge-on."""
-_BARRIER = -0.02
+_MIN_PART = 0.07
+"""Excess of such a part."""
+_BARRIER = -0.05
 """Excess of bins that a surface never reaches across: there is more of them around the box."""
 _MIN_VALID = 0.05
 """Share of the samples in a box that must be measurements."""
@@ -76,23 +83,6 @@ Array = NDArray[np.float32]
 Bins = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 Shares = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Evidence:
-    """How much the samples of an object tell."""
-
-    ring_weight: float
-    """Of what is around the box. More than 1 for a box, in which a slope has other depths than around it."""
-    min_of_peak: float
-    """Share of the excess of the highest peak: the nearest peak that reaches it is the object."""
-    min_part: float
-    """Excess of bins that are a part of the object behind a gap."""
-
-
-_OF_BOX = _Evidence(ring_weight=2.5, min_of_peak=0.2, min_part=0.06)
-_OF_MASK = _Evidence(ring_weight=1.0, min_of_peak=0.5, min_part=0.15)
-"""A mask contains little else than the object, so less is needed to tell it from its surroundings."""
 
 
 class ObjectMasks(Protocol):
@@ -135,18 +125,19 @@ def _surfaces_of(
 ) -> Surfaces:
     samples = sampled(depth, boxes_xyxy, camera)
     bins = _bins(samples.metres)
-    foreground = np.where(is_background(samples), np.int32(_NO_BIN), bins)
+    foreground = np.where(is_on_plane_beyond(samples), np.int32(_NO_BIN), bins)
+    # What goes on around the box is no object, and tells around it how far away others are.
+    looks = [IS_AROUND | ~is_on_surface_beyond(samples, foreground >= 0)]
     foreground = _supported(foreground, samples, depth)
-    looks = [(np.ones(bins.shape, np.bool_), _OF_BOX)]
     is_done = np.zeros(len(bins), np.bool_)
     if masks is not None:
         in_mask, is_measured = _in_masks(masks, samples)
-        looks, is_done = [(in_mask, _OF_MASK), *looks], ~is_measured
+        looks, is_done = [in_mask, *looks], ~is_measured
     is_surface = np.zeros((len(bins), SIDE, SIDE), np.bool_)
-    for find, (is_counted, evidence) in product((_foreground_surface, _any_surface), looks):
+    for find, is_counted in product((_foreground_surface, _any_surface), looks):
         if not is_done.all():
             left = ~is_done
-            is_surface[left], is_done[left] = find(foreground[left], bins[left], is_counted[left], evidence)
+            is_surface[left], is_done[left] = find(foreground[left], bins[left], is_counted[left])
     in_box = inside(samples.metres)
     metres = np.where(is_surface, in_box, np.float32(np.nan))
     return Surfaces(_without_outliers(metres), np.where(is_surface, np.float32(np.nan), in_box))
@@ -223,9 +214,7 @@ def _is_alone(
     return np.asarray(is_told & ~is_same.any(axis=0))
 
 
-def _foreground_surface(
-    foreground: Bins, bins: Bins, is_counted: Flags, evidence: _Evidence
-) -> tuple[Flags, Flags]:
+def _foreground_surface(foreground: Bins, bins: Bins, is_counted: Flags) -> tuple[Flags, Flags]:
     """Which samples (n, SIDE, SIDE) are on the surface before the background, and whether there is one (n,).
 
     `bins` (n, GRID, GRID) are those of all samples, `foreground` of those that are not background. In the
@@ -233,20 +222,20 @@ def _foreground_surface(
     """
     foreground, bins, valid_share = _counted(foreground, bins, is_counted)
     shares, shares_around, first = _shares(foreground, bins)
-    excess = shares - evidence.ring_weight * shares_around
+    excess = shares - _RING_WEIGHT * shares_around
     is_found = (excess.max(axis=1) >= _MIN_EXCESS) & (valid_share >= _MIN_VALID)
-    ends = _surface_ends(excess, evidence, _SURFACE_END, _GAP_BEFORE, _GAP_BEHIND)
+    ends = _surface_ends(excess, _SURFACE_END, _GAP_BEFORE, _GAP_BEHIND)
     return _is_between(inside(foreground), first, ends) & is_found[:, None, None], is_found
 
 
-def _any_surface(foreground: Bins, bins: Bins, is_counted: Flags, evidence: _Evidence) -> tuple[Flags, Flags]:
+def _any_surface(foreground: Bins, bins: Bins, is_counted: Flags) -> tuple[Flags, Flags]:
     """The same of an object that is as far away as its background, or fills the image."""
     _, bins, valid_share = _counted(foreground, bins, is_counted)
     shares, shares_around, first = _shares(bins, bins)
-    excess = shares - evidence.ring_weight * shares_around
+    excess = shares - _RING_WEIGHT * shares_around
     is_alone = excess.max(axis=1) < _MIN_EXCESS
     excess[is_alone] = shares[is_alone]
-    ends = _surface_ends(excess, evidence, _FULL_SURFACE_END, 0, 0)
+    ends = _surface_ends(excess, _FULL_SURFACE_END, 0, 0)
     is_found = valid_share >= np.where(is_alone, _MIN_VALID_ALONE, _MIN_VALID)
     return _is_between(inside(bins), first, ends) & is_found[:, None, None], is_found
 
@@ -298,14 +287,14 @@ def _counts(bins: Bins, first: int, count: int) -> NDArray[np.float64]:
 
 
 def _surface_ends(
-    excess: Shares, evidence: _Evidence, end_share: float, gap_before: int, gap_behind: int
+    excess: Shares, end_share: float, gap_before: int, gap_behind: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """First and last bin (n,) of the surface around the nearest peak of each box's excess (n, count)."""
-    is_peak = excess >= evidence.min_of_peak * excess.max(axis=1, keepdims=True)
+    is_peak = excess >= _MIN_OF_PEAK * excess.max(axis=1, keepdims=True)
     is_peak[:, :-1] &= excess[:, :-1] >= excess[:, 1:]
     peak = is_peak.argmax(axis=1)  # the one before the first such bin is lower, or it would be the first
     is_kept = excess > np.maximum(end_share * np.take_along_axis(excess, peak[:, None], axis=1), _MIN_KEPT)
-    is_barrier, is_part = excess < _BARRIER, (excess >= evidence.min_part) & (gap_behind > 0)
+    is_barrier, is_part = excess < _BARRIER, (excess >= _MIN_PART) & (gap_behind > 0)
     last = excess.shape[1] - 1
     return (
         last
