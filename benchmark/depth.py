@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from support.depth_scene import CAMERA, LENSES, SHAPES, THIN, DepthScene, Difficulty, random_depth_scene
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
@@ -25,6 +26,7 @@ from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
 from yolov5_lifecycle.spatial.points import surface_points
+from yolov5_lifecycle.spatial.surface import surfaces_in
 
 SCENES = {
     "sloped background": Difficulty(),
@@ -69,10 +71,16 @@ MIN_SIZE_M = 0.02
 """Errors of smaller sizes are in parts of this."""
 
 
+def places(
+    boxes_xyxy: NDArray[np.float32], depth: DepthImage, camera: Intrinsics, masks: Masks | None
+) -> tuple[Placement, ...]:
+    """Where this package finds the objects in the boxes (n, 4)."""
+    return place(surfaces_in(boxes_xyxy, depth, camera, masks), camera)
+
+
 def placed(scene: DepthScene, masks: Masks | None) -> Placement:
-    """Where this package finds the object."""
     depth = DepthImage(scene.depth_m, 1.0)
-    (found,) = place(scene.box_xyxy[None], CAMERA.size_hw, depth, scene.camera, masks)
+    (found,) = places(scene.box_xyxy[None], depth, scene.camera, masks)
     return found
 
 
@@ -142,7 +150,8 @@ def point_rows(count: int, seed: int) -> Iterator[Row]:
 
 def _point_shares(scene: DepthScene, masks: Masks | None) -> tuple[float, float]:
     depth = DepthImage(scene.depth_m, 1.0)
-    found = surface_points(scene.box_xyxy[None], depth, scene.camera, masks)
+    surfaces = surfaces_in(scene.box_xyxy[None], depth, scene.camera, masks)
+    found = surface_points(surfaces, depth, scene.camera)
     hits = scene.mask[found.rows, found.columns].sum()
     measured = (scene.mask & (scene.depth_m > 0)).sum()
     beside = 100 - 100 * hits / len(found.rows) if len(found.rows) else math.nan
@@ -150,7 +159,7 @@ def _point_shares(scene: DepthScene, masks: Masks | None) -> tuple[float, float]
 
 
 def point_cost_rows() -> Iterator[Row]:
-    """CPU time for the points of 20 boards, one before the other."""
+    """CPU time for the points of 20 boards, one before the other, whose surfaces are found."""
     rng, (height, width), side = np.random.default_rng(0), (720, 1280), (60, 240)
     sizes = rng.uniform(*side, (20, 2))
     starts = rng.uniform(0, 1, (20, 2)) * ((width, height) - sizes)
@@ -159,8 +168,9 @@ def point_cost_rows() -> Iterator[Row]:
     for depth_mm, (x1, y1, x2, y2) in zip(range(7000, 1000, -300), boxes_xyxy.astype(int), strict=True):
         values[y1:y2, x1:x2] = depth_mm
     depth, camera = DepthImage(values, 0.001), Intrinsics(900.0, 900.0, 640.0, 360.0, (height, width))
+    surfaces = surfaces_in(boxes_xyxy, depth, camera)
     for spacing_m in (0.05, 0.02, 0.0):
-        call = partial(surface_points, boxes_xyxy, depth, camera, spacing_m=spacing_m)
+        call = partial(surface_points, surfaces, depth, camera, spacing_m=spacing_m)
         times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
         name = f"{len(call().rows):,} points of 20 objects, {spacing_m:g} m apart"
         yield row("CPU time", name, 0, times_ms, unit="ms of a core")
@@ -177,7 +187,7 @@ def cost_rows() -> Iterator[Row]:
         network = rng.normal(size=(32, 96, 160)).astype(np.float32), rng.normal(size=(count, 32))
         masks = Masks(network[0], network[1].astype(np.float32), (height, width))
         for known, given in (("", None), (" with masks", masks)):
-            call = partial(place, boxes_xyxy, (height, width), depth, camera, given)
+            call = partial(places, boxes_xyxy, depth, camera, given)
             times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
             name = f"{count} boxes{known}, {width}x{height}"
             yield row("CPU time", name, 0, times_ms, unit="ms of a core")

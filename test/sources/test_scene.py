@@ -13,6 +13,7 @@ from yolov5_lifecycle.sources.scene_depth import DepthFrame, SceneDepth
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, place
+from yolov5_lifecycle.spatial.surface import surfaces_in
 
 
 @pytest.mark.parametrize(
@@ -137,7 +138,8 @@ def test_the_shapes_are_found_in_the_depth_image_where_they_are(seed: int, size_
     for index in (0, 50, 137):
         boxes, frame = scene.frame(index)[1].boxes_xyxy, space.frame(index)
         assert len(frame.centres_xyz_m) == len(frame.sizes_xyz_m) == len(boxes)
-        placed = place(boxes, size_hw, DepthImage(frame.depth_mm, 0.001), intrinsics(frame))
+        camera = intrinsics(frame)
+        placed = place(surfaces_in(boxes, DepthImage(frame.depth_mm, 0.001), camera), camera)
         for box, centre in zip(placed, frame.centres_xyz_m, strict=True):
             assert isinstance(box, Box3D)
             errors.append(float(np.linalg.norm(box.centre_xyz_m - centre) / np.linalg.norm(centre)))

@@ -30,8 +30,8 @@ from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place
-from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE
+from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
+from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE, surfaces_in
 
 SIZE_HW = CAMERA.size_hw
 DIFFICULTIES = {
@@ -50,8 +50,14 @@ def in_metres(depth_m: NDArray[np.float32]) -> DepthImage:
     return DepthImage(depth_m, 1.0)
 
 
+def place_in(
+    boxes_xyxy: Boxes, depth: DepthImage, camera: Intrinsics, masks: Masks | None = None
+) -> tuple[Placement, ...]:
+    return place(surfaces_in(boxes_xyxy, depth, camera, masks), camera)
+
+
 def placed(scene: DepthScene, masks: Masks | None = None) -> Placement:
-    (placement,) = place(scene.box_xyxy[None], SIZE_HW, in_metres(scene.depth_m), scene.camera, masks)
+    (placement,) = place_in(scene.box_xyxy[None], in_metres(scene.depth_m), scene.camera, masks)
     return placement
 
 
@@ -139,7 +145,7 @@ def test_a_cuboid_on_a_floor_has_the_size_of_all_its_visible_faces(yaw: float, h
     seen = np.isfinite(surface)
     lower, upper = bounds(surface)
     box = np.array([tight_box(seen)], np.float32)
-    (found,) = place(box, SIZE_HW, in_metres(np.asarray(depth_m, np.float32)), CAMERA)
+    (found,) = place_in(box, in_metres(np.asarray(depth_m, np.float32)), CAMERA)
     assert isinstance(found, Box3D)
     assert found.size_xyz_m == pytest.approx((upper - lower).tolist(), rel=0.2)
     assert found.centre_xyz_m == pytest.approx(((lower + upper) / 2).tolist(), abs=0.06)
@@ -155,7 +161,7 @@ BOX: Boxes = np.array([[100, 80, 180, 140]], np.float32)
 
 
 def test_a_board_has_the_centre_and_size_of_the_pinhole_camera() -> None:
-    (box,) = place(BOX, SIZE_HW, in_metres(board_before_wall()), CAMERA)
+    (box,) = place_in(BOX, in_metres(board_before_wall()), CAMERA)
     assert isinstance(box, Box3D)
     # The box's middle is 20 columns and 10 rows left of and above the principal point, between two pixels.
     assert box.centre_xyz_m == pytest.approx((-20 / 270 * 2, -10 / 270 * 2, 2.0), rel=1e-6)
@@ -167,7 +173,7 @@ def test_a_board_has_the_centre_and_size_of_the_pinhole_camera() -> None:
 def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_it(value: float) -> None:
     depth_m = board_before_wall(board_m=value)
     wider = BOX + np.array([-5, -5, 5, 5], np.float32)
-    assert place(wider, SIZE_HW, in_metres(depth_m), CAMERA) == (Unplaced.NO_VALID_DEPTH,)
+    assert place_in(wider, in_metres(depth_m), CAMERA) == (Unplaced.NO_VALID_DEPTH,)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +185,7 @@ def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_i
     ],
 )
 def test_an_unusual_box_has_the_distance_of_a_wall(box: tuple[float, ...]) -> None:
-    (found,) = place(np.array([box], np.float32), SIZE_HW, in_metres(np.full(SIZE_HW, 3, np.float32)), CAMERA)
+    (found,) = place_in(np.array([box], np.float32), in_metres(np.full(SIZE_HW, 3, np.float32)), CAMERA)
     assert isinstance(found, Box3D)
     assert found.centre_xyz_m[2] == pytest.approx(3.0)
 
@@ -188,7 +194,7 @@ def test_what_the_lens_cannot_see_has_no_place() -> None:
     camera = replace(CAMERA, fx=80.0, fy=80.0, distortion=Distortion("equidistant", (0.0,) * 4))
     boxes_xyxy = np.array([[120, 80, 200, 160], [0, 0, 12, 12]], np.float32)
     wall = in_metres(np.full(SIZE_HW, 3, np.float32))
-    seen, unseen = place(boxes_xyxy, SIZE_HW, wall, camera)
+    seen, unseen = place_in(boxes_xyxy, wall, camera)
     assert isinstance(seen, Box3D)
     assert unseen is Unplaced.NO_VALID_DEPTH
 
@@ -204,11 +210,10 @@ OTHER_SIZE = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, (480, 640))
         pytest.param(SIZE_HW, OTHER_SIZE, Unplaced.OTHER_SIZE, id="camera_info of another size"),
     ],
 )
-def test_every_detection_says_what_is_missing(
+def test_it_is_told_why_nothing_can_be_placed(
     image_size_hw: tuple[int, int], camera: Intrinsics | None, reason: Unplaced
 ) -> None:
-    depth = in_metres(board_before_wall())
-    assert place(np.repeat(BOX, 2, axis=0), image_size_hw, depth, camera) == (reason,) * 2
+    assert unusable(image_size_hw, in_metres(board_before_wall()), camera) == reason
 
 
 boxes = st.tuples(*[st.floats(-50, 400, width=32)] * 4).map(
@@ -228,8 +233,8 @@ def millimetres(seed: int) -> NDArray[np.uint16]:
 @settings(max_examples=12)
 def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Boxes) -> None:
     depth = DepthImage(millimetres(seed), 0.001)
-    alone = [place(box[None], SIZE_HW, depth, CAMERA) for box in boxes_xyxy]
-    assert place(boxes_xyxy, SIZE_HW, depth, CAMERA) == tuple(found for (found,) in alone)
+    alone = [place_in(box[None], depth, CAMERA) for box in boxes_xyxy]
+    assert place_in(boxes_xyxy, depth, CAMERA) == tuple(found for (found,) in alone)
 
 
 @given(data=st.binary(min_size=0, max_size=64), boxes_xyxy=several_boxes)
@@ -237,7 +242,7 @@ def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Box
 def test_any_values_and_boxes_give_finite_numbers_or_a_reason(data: bytes, boxes_xyxy: Boxes) -> None:
     values = np.resize(np.frombuffer(data or b"\0", np.uint8), 320 * 240 * 4).view("<f4")
     depth = DepthImage(values.reshape(240, 320), 1.0)
-    for found in place(boxes_xyxy, SIZE_HW, depth, CAMERA):
+    for found in place_in(boxes_xyxy, depth, CAMERA):
         if isinstance(found, Box3D):
             assert np.isfinite((found.centre_xyz_m, found.size_xyz_m)).all()
             assert min(found.size_xyz_m) >= 0
@@ -253,7 +258,7 @@ def test_each_of_many_boxes_has_its_own_mask() -> None:
     coefficients = np.resize(np.array((1, -1, -1), np.float32), (2 * MAX_BOXES_AT_ONCE + 3, 1))
     boxes_xyxy = np.repeat(BOX, len(coefficients), axis=0)
     masks = Masks(prototypes, coefficients, SIZE_HW)
-    found = place(boxes_xyxy, SIZE_HW, in_metres(depth_m), CAMERA, masks)
+    found = place_in(boxes_xyxy, in_metres(depth_m), CAMERA, masks)
     depths_m = [one.centre_xyz_m[2] for one in found if isinstance(one, Box3D)]
     assert depths_m == pytest.approx(np.where(coefficients[:, 0] > 0, 1, 2).tolist())
 
@@ -265,7 +270,7 @@ def test_a_thousand_boxes_on_the_widest_image_are_placed() -> None:
     rng = np.random.default_rng(0)
     starts = rng.uniform(0, MAX_SIDE_PX / 2, (1000, 2))
     everywhere = np.concatenate((starts, starts + rng.uniform(0, MAX_SIDE_PX / 2, (1000, 2))), axis=1)
-    found = place(everywhere.astype(np.float32), values.shape, DepthImage(values, 0.001), camera)
+    found = place_in(everywhere.astype(np.float32), DepthImage(values, 0.001), camera)
     assert len(found) == 1000 > MAX_BOXES_AT_ONCE
     assert {round(one.centre_xyz_m[2], 5) for one in found if isinstance(one, Box3D)} == {2.0}
     assert not any(isinstance(one, Unplaced) for one in found)

@@ -11,11 +11,12 @@ from support.depth_scene import CAMERA, LENSES, THIN, Difficulty, pixels, random
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
+from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.points import MAX_PIXELS, SurfacePoints, surface_points
-from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE
+from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE, surfaces_in
 
 Boxes = NDArray[np.float32]
 
@@ -29,8 +30,19 @@ def board_before_wall(board_m: float = 2.0) -> NDArray[np.float32]:
     return depth_m
 
 
+def points_in(
+    boxes_xyxy: Boxes,
+    depth: DepthImage,
+    camera: Intrinsics,
+    masks: Masks | None = None,
+    spacing_m: float = 0.0,
+) -> SurfacePoints:
+    surfaces = surfaces_in(boxes_xyxy, depth, camera, masks)
+    return surface_points(surfaces, depth, camera, spacing_m=spacing_m)
+
+
 def points(depth_m: NDArray[np.float32], boxes_xyxy: Boxes = BOX, spacing_m: float = 0.0) -> SurfacePoints:
-    return surface_points(boxes_xyxy, DepthImage(depth_m, 1.0), CAMERA, spacing_m=spacing_m)
+    return points_in(boxes_xyxy, DepthImage(depth_m, 1.0), CAMERA, spacing_m=spacing_m)
 
 
 def test_a_board_has_a_point_for_each_of_its_pixels_and_the_wall_behind_it_has_none() -> None:
@@ -110,7 +122,7 @@ def test_points_lie_on_the_object_and_cover_it(kind: str) -> None:
     for _ in range(10):
         scene = random_floor_scene(rng, kind, has_company=True)
         depth = DepthImage(scene.depth_m, 1.0)
-        found = surface_points(scene.box_xyxy[None], depth, scene.camera, scene.masks())
+        found = points_in(scene.box_xyxy[None], depth, scene.camera, scene.masks())
         hits = scene.mask[found.rows, found.columns]
         shares.append((hits.mean(), hits.sum() / (scene.mask & (scene.depth_m > 0)).sum()))
     on_object, covered = np.median(shares, axis=0)
@@ -124,7 +136,7 @@ def test_with_masks_equal_objects_in_a_row_are_told_apart() -> None:
     for shape in THIN * 5:
         scene = random_depth_scene(rng, shape, Difficulty(hole_share=0.3, has_neighbours=True))
         depth = DepthImage(scene.depth_m, 1.0)
-        found = surface_points(scene.box_xyxy[None], depth, CAMERA, scene.masks())
+        found = points_in(scene.box_xyxy[None], depth, CAMERA, scene.masks())
         shares.append(scene.mask[found.rows, found.columns].mean())
     assert min(shares) > 0.9
 
@@ -132,7 +144,7 @@ def test_with_masks_equal_objects_in_a_row_are_told_apart() -> None:
 def test_a_pixel_without_a_ray_has_no_point() -> None:
     camera = Intrinsics(100.0, 100.0, 160.0, 120.0, (240, 320), Distortion("equidistant", (0.0,) * 4))
     depth = DepthImage(np.full(camera.size_hw, 3, np.float32), 1.0)
-    found = surface_points(np.array([[0, 0, 320, 240]], np.float32), depth, camera)
+    found = points_in(np.array([[0, 0, 320, 240]], np.float32), depth, camera)
     assert 50_000 < len(found.rows) < 320 * 240
     assert np.isfinite(found.xyz_m).all()
 
@@ -141,7 +153,7 @@ def test_a_pixel_without_a_ray_has_no_point() -> None:
 def test_points_are_where_the_lens_shows_them(lens: str) -> None:
     camera, box = LENSES[lens], np.array([[60, 50, 260, 190]], np.float32)
     depth = DepthImage(np.full(camera.size_hw, 3, np.float32), 1.0)
-    found = surface_points(box, depth, camera)
+    found = points_in(box, depth, camera)
     assert len(found.rows) == 200 * 140
     columns, rows = pixels(camera, found.xyz_m[:, :2].T.astype(np.float64) / 3)
     np.testing.assert_allclose(columns, found.columns, atol=0.1)
@@ -166,7 +178,7 @@ def test_the_largest_image_has_points_in_bounded_number() -> None:
     values = np.broadcast_to(np.uint16(2000), (side, side))
     camera = Intrinsics(9000.0, 9000.0, side / 2, side / 2, (side, side))
     everywhere = np.repeat(np.array([[0, 0, side, side]], np.float32), 3, axis=0)
-    found = surface_points(everywhere, DepthImage(values, 0.001), camera)
+    found = points_in(everywhere, DepthImage(values, 0.001), camera)
     assert 0.8 * MAX_PIXELS < len(found.rows) <= MAX_PIXELS
 
 

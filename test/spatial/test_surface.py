@@ -36,8 +36,7 @@ IN_BOX = slice(30, 50), slice(30, 50)
 
 def seen(depth_m: NDArray[np.float32], masks: Masks | None = None) -> Surfaces:
     """In BOX."""
-    ((_, found),) = surfaces_in(BOX, DepthImage(depth_m, 1.0), CAMERA, masks)
-    return found
+    return surfaces_in(BOX, DepthImage(depth_m, 1.0), CAMERA, masks)
 
 
 def surface(
@@ -318,7 +317,7 @@ def test_a_curved_thing_that_hides_half_of_it_is_not_the_object() -> None:
     barrel_m = 1.5 - np.sqrt(np.maximum(0.25 - ((COLUMNS - 62) / 60) ** 2, 0))
     depth_m = np.where(IN_FLOOR_BOX, 2.5, 9.0)
     depth_m[:, 45:79] = barrel_m[:, 45:79]
-    ((_, found),) = surfaces_in(FLOOR_BOX, DepthImage(depth_m.astype(np.float32), 1.0), CAMERA)
+    found = surfaces_in(FLOOR_BOX, DepthImage(depth_m.astype(np.float32), 1.0), CAMERA)
     assert extents(found.metres[0]) == (2.5, 2.5)
 
 

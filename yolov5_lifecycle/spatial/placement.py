@@ -1,4 +1,4 @@
-"""Boxes in an image and a depth image -> boxes in space."""
+"""Surfaces of objects in a depth image -> boxes in space."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.surface import ObjectMasks, surfaces_in
+from yolov5_lifecycle.spatial.surface import Surfaces
 
 _EDGES = np.arange(SIDE + 1) / SIDE
 """Of the samples along each side of a box, in parts of it."""
@@ -56,33 +56,12 @@ def unusable(
     return None if image_size_hw == depth.size_hw == intrinsics.size_hw else Unplaced.OTHER_SIZE
 
 
-def place(
-    boxes_xyxy: NDArray[np.float32],
-    image_size_hw: tuple[int, int],
-    depth: DepthImage,
-    intrinsics: Intrinsics | None,
-    masks: ObjectMasks | None = None,
-) -> tuple[Placement, ...]:
-    """Where the objects in the boxes (n, 4) are, one entry per box.
+def place(found: Surfaces, camera: Intrinsics) -> tuple[Placement, ...]:
+    """Where the objects are whose surfaces were found in an image of the camera, one entry per box.
 
-    `boxes_xyxy` are finite corners in pixels of the colour image of `image_size_hw`, to which the depth
-    image is aligned; (0, 0) is the outer corner of its first pixel. `intrinsics` are None while there
-    are none, `masks` those of the n objects, in an image of the same size, if the model segments.
     docs/depth.md describes how the distance is found.
     """
-    if (reason := unusable(image_size_hw, depth, intrinsics)) is not None:
-        return (reason,) * len(boxes_xyxy)
-    assert intrinsics is not None
-    placements: list[Placement] = []
-    for rows, surfaces in surfaces_in(boxes_xyxy, depth, intrinsics, masks):
-        placements += _placements(boxes_xyxy[rows].astype(np.float64), surfaces.metres, intrinsics)
-    return tuple(placements)
-
-
-def _placements(
-    boxes_xyxy: NDArray[np.float64], surfaces: NDArray[np.float32], camera: Intrinsics
-) -> list[Placement]:
-    """One entry per box (n, 4) with the depth in metres of its surface (n, SIDE, SIDE), NaN beside it."""
+    boxes_xyxy, surfaces = found.boxes_xyxy.astype(np.float64), found.metres
     start, end = boxes_xyxy[:, None, :2], boxes_xyxy[:, None, 2:]
     columns, rows = np.moveaxis(start + _EDGES[:, None] * (end - start), -1, 0)
     tangents = camera.tangents(columns[:, None, :], rows[:, :, None])
@@ -95,10 +74,10 @@ def _placements(
     )
     lower, upper = np.array(extents).transpose(1, 2, 0)
     centres, sizes = (lower + upper) / 2, upper - lower
-    return [
+    return tuple(
         Box3D(tuple(centre), tuple(size)) if all(map(math.isfinite, size)) else Unplaced.NO_VALID_DEPTH
         for centre, size in zip(centres.tolist(), sizes.tolist(), strict=True)
-    ]
+    )
 
 
 def _extent(

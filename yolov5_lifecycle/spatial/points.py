@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.surface import ObjectMasks, surfaces_in
+from yolov5_lifecycle.spatial.surface import Surfaces
 
 MAX_PIXELS = 1 << 21
 """Looked at in the boxes of an image. Of larger boxes only every second row and column, every third, ..."""
@@ -37,30 +37,23 @@ class SurfacePoints:
 
 
 def surface_points(
-    boxes_xyxy: Array,
-    depth: DepthImage,
-    camera: Intrinsics,
-    masks: ObjectMasks | None = None,
-    *,
-    spacing_m: float = 0.0,
+    surfaces: Surfaces, depth: DepthImage, camera: Intrinsics, *, spacing_m: float = 0.0
 ) -> SurfacePoints:
-    """Points on the visible surfaces of the objects in the boxes (n, 4), where `place` finds them.
+    """Points on the visible surfaces of the objects that were found in the camera's depth image.
 
-    Boxes and masks are as in `place`; the depth image and the camera are of one size. Points are `spacing_m`
-    apart where the object is nearest and faces the camera, but not more than the samples of its box and not
-    less than pixels are.
+    They are `spacing_m` apart where the object is nearest and faces the camera, but not more than the samples
+    of its box and not less than pixels are.
     """
-    sides = np.diff(np.clip(boxes_xyxy.reshape(-1, 2, 2), 0, depth.size_hw[::-1]), axis=1)
+    sides = np.diff(np.clip(surfaces.boxes_xyxy.reshape(-1, 2, 2), 0, depth.size_hw[::-1]), axis=1)
     step_px = max(math.ceil(math.sqrt(sides.prod(axis=(1, 2), dtype=np.float64).sum() / MAX_PIXELS)), 1)
     found = [(np.zeros((0, 3), np.float32), *[np.zeros(0, np.intp)] * 3)]
-    for boxes, surfaces in surfaces_in(boxes_xyxy, depth, camera, masks):
-        low_m, high_m = (_extreme(surfaces.metres, of) for of in (np.fmin, np.fmax))
-        nearest_m = np.fmin.reduce(low_m, axis=(1, 2))
-        for index in np.flatnonzero(np.isfinite(nearest_m)):
-            samples = low_m[index], high_m[index], surfaces.beside_m[index]
-            spacing_px = int(spacing_m * camera.fx / nearest_m[index])
-            points = _points(boxes_xyxy[boxes][index], samples, depth, camera, step_px, spacing_px)
-            found.append((*points, np.full(len(points[0]), boxes.start + index)))
+    low_m, high_m = (_extreme(surfaces.metres, of) for of in (np.fmin, np.fmax))
+    nearest_m = np.fmin.reduce(low_m, axis=(1, 2))
+    for index in np.flatnonzero(np.isfinite(nearest_m)):
+        samples = low_m[index], high_m[index], surfaces.beside_m[index]
+        spacing_px = int(spacing_m * camera.fx / nearest_m[index])
+        points = _points(surfaces.boxes_xyxy[index], samples, depth, camera, step_px, spacing_px)
+        found.append((*points, np.full(len(points[0]), index)))
     return SurfacePoints(*map(np.concatenate, zip(*found, strict=True)))
 
 

@@ -9,7 +9,6 @@ is known, only what lies in it counts.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Protocol
@@ -99,30 +98,38 @@ class ObjectMasks(Protocol):
 class Surfaces:
     """What the samples of n boxes show, evenly spread over the box, row by row."""
 
+    boxes_xyxy: Array
+    """(n, 4), finite corners in pixels of the depth image."""
     metres: Array
     """(n, SIDE, SIDE) depth of the object's surface, NaN where it is not seen."""
     beside_m: Array
     """(n, SIDE, SIDE) depth of what is not the object, NaN elsewhere."""
 
+    def __getitem__(self, rows: NDArray[np.intp]) -> Surfaces:
+        """Those in the boxes with the indices `rows` (m,)."""
+        return Surfaces(self.boxes_xyxy[rows], self.metres[rows], self.beside_m[rows])
+
 
 def surfaces_in(
-    boxes_xyxy: NDArray[np.float32], depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None = None
-) -> Iterator[tuple[slice, Surfaces]]:
-    """The surfaces of the objects in the boxes (n, 4), for at most MAX_BOXES_AT_ONCE at a time.
+    boxes_xyxy: Array, depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None = None
+) -> Surfaces:
+    """The surfaces of the objects in the boxes (n, 4), finite corners in pixels of the depth image.
 
-    Boxes are finite corners in pixels of the depth image, `masks` those of the same objects in an image of
-    its size. A mask in which no object is found does not count, but an object that has no depth in its mask
-    has none.
+    The depth image, the camera and the image in which the same objects have `masks` are of one size. A mask
+    in which no object is found does not count, but an object that has no depth in its mask has none.
     """
+    found = [np.zeros((2, 0, SIDE, SIDE), np.float32)]
     for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
         rows = np.arange(first, min(first + MAX_BOXES_AT_ONCE, len(boxes_xyxy)))
         of_rows = None if masks is None else masks.of(rows)
-        yield slice(first, first + len(rows)), _surfaces_of(boxes_xyxy[rows], depth, camera, of_rows)
+        found.append(_surfaces_of(boxes_xyxy[rows], depth, camera, of_rows))
+    return Surfaces(boxes_xyxy, *np.concatenate(found, axis=1))
 
 
 def _surfaces_of(
-    boxes_xyxy: NDArray[np.float32], depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None
-) -> Surfaces:
+    boxes_xyxy: Array, depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None
+) -> Array:
+    """Depth (2, n, SIDE, SIDE) of the objects, and of what is beside them, NaN elsewhere."""
     samples = sampled(depth, boxes_xyxy, camera)
     bins = _bins(samples.metres)
     foreground = np.where(is_on_plane_beyond(samples), np.int32(_NO_BIN), bins)
@@ -140,7 +147,7 @@ def _surfaces_of(
             is_surface[left], is_done[left] = find(foreground[left], bins[left], is_counted[left])
     in_box = inside(samples.metres)
     metres = np.where(is_surface, in_box, np.float32(np.nan))
-    return Surfaces(_without_outliers(metres), np.where(is_surface, np.float32(np.nan), in_box))
+    return np.stack((_without_outliers(metres), np.where(is_surface, np.float32(np.nan), in_box)))
 
 
 def _in_masks(masks: ObjectMasks, samples: BoxSamples) -> tuple[Flags, Flags]:

@@ -23,7 +23,7 @@ from yolov5_lifecycle.spatial.camera_model import Intrinsics, intrinsics_of_mess
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
 from yolov5_lifecycle.spatial.stamp_pairing import DepthPairing, Unpaired
-from yolov5_lifecycle.spatial.surface import ObjectMasks
+from yolov5_lifecycle.spatial.surface import ObjectMasks, Surfaces, surfaces_in
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class PlacedImage:
     placements: tuple[Placement, ...]
     frame_id: str
     """Coordinate frame of the depth image."""
+    surfaces: Surfaces
     depth: DepthImage
     camera: Intrinsics
 
@@ -200,13 +201,14 @@ class DepthInput:
             self._count_unplaced(count, Unplaced.OTHER_CAMERA, _of_another_camera(header.frame_id, frame_id))
             return None
         assert intrinsics is not None
-        placements = place(boxes_xyxy, image_size_hw, depth, intrinsics, masks)
+        surfaces = surfaces_in(boxes_xyxy, depth, intrinsics, masks)
+        placements = place(surfaces, intrinsics)
         for placement in placements:
             name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
             self.counts[name] += 1
         self.counts[_WITH_DEPTH] += 1
         self.run = None
-        return PlacedImage(placements, frame_id or header.frame_id, depth, intrinsics)
+        return PlacedImage(placements, frame_id or header.frame_id, surfaces, depth, intrinsics)
 
     def _is_rectified(self) -> bool:
         """By the name of the depth images, as image_proc and drivers give it: image_rect, image_rect_raw."""

@@ -81,10 +81,8 @@ class PointsWanted:
         """Those on the surfaces of `detections`, with the indices of these as boxes."""
         is_wanted = [self.class_ids is None or one in self.class_ids for one in detections.class_ids.tolist()]
         rows = np.flatnonzero(is_wanted)
-        wanted = detections[rows]
-        points = surface_points(
-            wanted.boxes_xyxy, placed.depth, placed.camera, wanted.masks, spacing_m=self.spacing_m
-        )
+        surfaces = placed.surfaces[rows]
+        points = surface_points(surfaces, placed.depth, placed.camera, spacing_m=self.spacing_m)
         return replace(points, boxes=rows[points.boxes])
 
 
