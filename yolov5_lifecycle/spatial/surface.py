@@ -99,7 +99,7 @@ class Surfaces:
     """What the samples of n boxes show, evenly spread over the box, row by row."""
 
     boxes_xyxy: Array
-    """(n, 4), finite corners in pixels of the depth image."""
+    """(n, 4)."""
     metres: Array
     """(n, SIDE, SIDE) depth of the object's surface, NaN where it is not seen."""
     beside_m: Array
@@ -113,10 +113,11 @@ class Surfaces:
 def surfaces_in(
     boxes_xyxy: Array, depth: DepthImage, camera: Intrinsics, masks: ObjectMasks | None = None
 ) -> Surfaces:
-    """The surfaces of the objects in the boxes (n, 4), finite corners in pixels of the depth image.
+    """The surfaces of the objects in the boxes (n, 4).
 
-    The depth image, the camera and the image in which the same objects have `masks` are of one size. A mask
-    in which no object is found does not count, but an object that has no depth in its mask has none.
+    Boxes are finite corners in pixels of the depth image, (0, 0) is the outer corner of its first pixel. The
+    camera and the image in which the same objects have `masks` are of its size. A mask in which no object is
+    found does not count, but an object that has no depth in its mask has no surface.
     """
     found = [np.zeros((2, 0, SIDE, SIDE), np.float32)]
     for first in range(0, len(boxes_xyxy), MAX_BOXES_AT_ONCE):
