@@ -21,7 +21,6 @@ from yolov5_lifecycle.ros.messages import (
     detection_array,
     image_message,
     point_cloud_message,
-    point_records,
 )
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced
 from yolov5_lifecycle.spatial.points import SurfacePoints
@@ -69,22 +68,21 @@ def test_each_detection_has_its_box_in_metres_and_the_rest_of_the_2d_array() -> 
 def test_a_cloud_has_each_point_with_its_colour_and_detection(channel_order: ChannelOrder) -> None:
     shown = np.zeros((48, 64, 3), np.uint8)
     shown[30, 40] = (1, 2, 250)
-    points = SurfacePoints(
-        xyz_m=np.array([[0.5, -0.25, 2], [1, 2, 3]], np.float32),
-        rows=np.array([30, 0]),
-        columns=np.array([40, 0]),
-        boxes=np.array([1, 1]),
-    )
+    xyz_m = np.array([[0.5, -0.25, 2], [1, 2, 3], [4, 5, 6]], np.float32)
+    points = [
+        SurfacePoints(box=0, xyz_m=xyz_m[:1], rows=np.array([30]), columns=np.array([40])),
+        SurfacePoints(box=1, xyz_m=xyz_m[1:], rows=np.array([0, 30]), columns=np.array([0, 40])),
+    ]
     header = Header(stamp=Time(sec=7, nanosec=8), frame_id="depth_optical_frame")
-    message = point_cloud_message(point_records(points, FOUND, ColourImage(shown, channel_order)), header)
+    message = point_cloud_message(points, FOUND, ColourImage(shown, channel_order), header)
     cloud = deserialize_message(serialize_message(message), PointCloud2)
-    assert (cloud.header, cloud.height, cloud.width, cloud.is_dense) == (header, 1, 2, True)
+    assert (cloud.header, cloud.height, cloud.width, cloud.is_dense) == (header, 1, 3, True)
     values = points_of(cloud)
-    np.testing.assert_array_equal([values[axis] for axis in "xyz"], points.xyz_m.T)
+    np.testing.assert_array_equal([values[axis] for axis in "xyz"], xyz_m.T)
     red, blue = (1, 250) if channel_order == "rgb" else (250, 1)
-    assert values["rgb"].view(np.uint32).tolist() == [red << 16 | 2 << 8 | blue, 0]
-    assert (values["detection"].tolist(), values["class_id"].tolist()) == ([1, 1], [1, 1])
-    assert values["score"].tolist() == [0.5, 0.5]
+    assert values["rgb"].view(np.uint32).tolist() == [colour := red << 16 | 2 << 8 | blue, 0, colour]
+    assert (values["detection"].tolist(), values["class_id"].tolist()) == ([0, 1, 1], [0, 1, 1])
+    assert values["score"].tolist() == [0.75, 0.5, 0.5]
 
 
 def test_a_detection_without_a_place_is_left_out() -> None:

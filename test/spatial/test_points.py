@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +17,7 @@ from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
-from yolov5_lifecycle.spatial.points import MAX_PIXELS, SurfacePoints, surface_points
+from yolov5_lifecycle.spatial.points import MAX_PIXELS, surface_points
 from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE, surfaces_in
 
 Boxes = NDArray[np.float32]
@@ -30,18 +32,31 @@ def board_before_wall(board_m: float = 2.0) -> NDArray[np.float32]:
     return depth_m
 
 
+class Found(NamedTuple):
+    """Points of all objects, one object after the other."""
+
+    xyz_m: NDArray[np.float32]
+    rows: NDArray[np.intp]
+    columns: NDArray[np.intp]
+    boxes: NDArray[np.intp]
+
+
 def points_in(
     boxes_xyxy: Boxes,
     depth: DepthImage,
     camera: Intrinsics,
     masks: Masks | None = None,
     spacing_m: float = 0.0,
-) -> SurfacePoints:
+) -> Found:
     surfaces = surfaces_in(boxes_xyxy, depth, camera, masks)
-    return surface_points(surfaces, depth, camera, spacing_m=spacing_m)
+    found = [(np.zeros((0, 3), np.float32), *[np.zeros(0, np.intp)] * 3)]
+    for of_object in surface_points(surfaces, depth, camera, spacing_m=spacing_m):
+        boxes = np.full(len(of_object.rows), of_object.box)
+        found.append((of_object.xyz_m, of_object.rows, of_object.columns, boxes))
+    return Found(*map(np.concatenate, zip(*found, strict=True)))
 
 
-def points(depth_m: NDArray[np.float32], boxes_xyxy: Boxes = BOX, spacing_m: float = 0.0) -> SurfacePoints:
+def points(depth_m: NDArray[np.float32], boxes_xyxy: Boxes = BOX, spacing_m: float = 0.0) -> Found:
     return points_in(boxes_xyxy, DepthImage(depth_m, 1.0), CAMERA, spacing_m=spacing_m)
 
 

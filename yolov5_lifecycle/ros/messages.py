@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -133,47 +133,60 @@ _POINT = np.dtype(
 _DATATYPES = {np.dtype("<f4"): PointField.FLOAT32, np.dtype("<u4"): PointField.UINT32}
 
 
-def point_records(points: SurfacePoints, detections: Detections, image: ColourImage) -> NDArray[Any]:
-    """A record (n,) for each point on the surfaces of `detections`; it has its colour in their `image`.
+def point_cloud_message(
+    points: Iterable[SurfacePoints], detections: Detections, image: ColourImage, header: Header
+) -> PointCloud2:
+    """Cloud of the points on the surfaces of `detections`, each with its colour in their `image`.
 
     `rgb` has the three bytes of a colour in the bits of a float, as PCL and RViz expect it.
     """
-    records = np.empty(len(points.boxes), _POINT)
-    records["x"], records["y"], records["z"] = points.xyz_m.T
-    colours = image.pixels[points.rows, points.columns].astype(np.uint32)
-    blue, green, red = colours.T if image.channel_order == "bgr" else colours.T[::-1]
-    records["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
-    records["detection"] = points.boxes
-    records["class_id"] = detections.class_ids[points.boxes]
-    records["score"] = detections.scores[points.boxes]
-    return records
-
-
-def point_cloud_message(
-    records: NDArray[Any], header: Header, transform: Transform | None = None
-) -> PointCloud2:
-    """Cloud of `point_records` in the frame of `header`, to which `transform` leads, in place."""
-    if transform is not None:
-        xyz_m = np.stack([records[axis] for axis in "xyz"], axis=1)
-        records["x"], records["y"], records["z"] = moved(xyz_m, transform).T
+    pixels, width = image.pixels.reshape(-1, 3), image.size_hw[1]
+    records = []
+    for of_object in points:
+        colours = pixels.take(of_object.rows * width + of_object.columns, axis=0)
+        bgr = colours if image.channel_order == "bgr" else colours[:, ::-1]
+        records.append(_point_records(of_object, bgr, detections))
+    data = array("B")
+    for each in records:  # not before all are there: an array is copied when it grows between other memory
+        data.frombytes(each.view(np.uint8).data)
     return PointCloud2(
         header=header,
         height=1,
-        width=len(records),
+        width=len(data) // _POINT.itemsize,
         fields=[
             PointField(name=name, offset=offset, datatype=_DATATYPES[dtype], count=1)
             for name, (dtype, offset, *_) in (_POINT.fields or {}).items()
         ],
         is_bigendian=False,
         point_step=_POINT.itemsize,
-        row_step=records.nbytes,
-        data=_array_of(records.view(np.uint8)),
+        row_step=len(data),
+        data=data,
         is_dense=True,
     )
 
 
+def _point_records(points: SurfacePoints, bgr: NDArray[np.uint8], detections: Detections) -> NDArray[Any]:
+    records = np.empty(len(points.rows), _POINT)
+    records["x"], records["y"], records["z"] = points.xyz_m.T
+    blue, green, red = bgr.T.astype(np.uint32)
+    records["rgb"] = (red << 16 | green << 8 | blue).view(np.float32)
+    records["detection"] = points.box
+    records["class_id"] = detections.class_ids[points.box]
+    records["score"] = detections.scores[points.box]
+    return records
+
+
+def moved_cloud(cloud: PointCloud2, transform: Transform | None) -> PointCloud2:
+    """The same message, its points moved to the frame to which `transform` leads; None: they are there."""
+    if transform is not None:
+        records = points_of_cloud(cloud)
+        xyz_m = np.stack([records[axis] for axis in "xyz"], axis=1)
+        records["x"], records["y"], records["z"] = moved(xyz_m, transform).T
+    return cloud
+
+
 def points_of_cloud(cloud: PointCloud2) -> NDArray[Any]:
-    """A record (n,) for each point in a message of `point_cloud_message`, with its fields."""
+    """A record (n,) for each point in a message of `point_cloud_message`: a view of its data."""
     return np.frombuffer(cloud.data, _POINT)
 
 

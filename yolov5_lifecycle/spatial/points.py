@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,37 +25,35 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """p points on the surfaces of objects, one object after the other."""
+    """p points on the surface of an object."""
 
+    box: int
+    """Index of the object's box."""
     xyz_m: Array
     """(p, 3) in metres from the camera: x right, y down, z forward."""
     rows: Indices
     """(p,) of the pixels that show them."""
     columns: Indices
     """(p,)."""
-    boxes: Indices
-    """(p,) indices of the objects' boxes, rising."""
 
 
 def surface_points(
     surfaces: Surfaces, depth: DepthImage, camera: Intrinsics, *, spacing_m: float = 0.0
-) -> SurfacePoints:
-    """Points on the visible surfaces of the objects that were found in the camera's depth image.
+) -> Iterator[SurfacePoints]:
+    """Points on the visible surface of each object that was found in the camera's depth image.
 
     They are `spacing_m` apart where the object is nearest and faces the camera, but not more than the samples
     of its box and not less than pixels are.
     """
     sides = np.diff(np.clip(surfaces.boxes_xyxy.reshape(-1, 2, 2), 0, depth.size_hw[::-1]), axis=1)
     step_px = max(math.ceil(math.sqrt(sides.prod(axis=(1, 2), dtype=np.float64).sum() / MAX_PIXELS)), 1)
-    found = [(np.zeros((0, 3), np.float32), *[np.zeros(0, np.intp)] * 3)]
     low_m, high_m = (_extreme(surfaces.metres, of) for of in (np.fmin, np.fmax))
     nearest_m = np.fmin.reduce(low_m, axis=(1, 2))
     for index in np.flatnonzero(np.isfinite(nearest_m)):
         samples = low_m[index], high_m[index], surfaces.beside_m[index]
         spacing_px = int(spacing_m * camera.fx / nearest_m[index])
-        points = _points(surfaces.boxes_xyxy[index], samples, depth, camera, step_px, spacing_px)
-        found.append((*points, np.full(len(points[0]), index)))
-    return SurfacePoints(*map(np.concatenate, zip(*found, strict=True)))
+        box_xyxy = surfaces.boxes_xyxy[index]
+        yield SurfacePoints(int(index), *_points(box_xyxy, samples, depth, camera, step_px, spacing_px))
 
 
 def _extreme(metres: Array, of: np.ufunc) -> Array:

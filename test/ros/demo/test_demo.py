@@ -36,7 +36,7 @@ from yolov5_lifecycle.ros.demo.demonstrations import (
     side_by_side,
 )
 from yolov5_lifecycle.ros.demo.stage import saved
-from yolov5_lifecycle.ros.messages import image_message, point_cloud_message, point_records
+from yolov5_lifecycle.ros.messages import image_message, point_cloud_message
 from yolov5_lifecycle.ros.observer import PATIENCE_S
 from yolov5_lifecycle.spatial.points import SurfacePoints
 
@@ -173,10 +173,13 @@ def test_the_figures_show_what_is_wrong(changed: tuple[Any, ...], expected: tupl
 def cloud_of(xyz_m: Sequence[Sequence[float]], detections: Sequence[int]) -> PointCloud2:
     """Green points of the detections of TRUTH."""
     green = ColourImage(np.full((1, 1, 3), (0, 255, 0), np.uint8), "bgr")
-    nowhere = np.zeros(len(xyz_m), np.intp)
-    points = SurfacePoints(np.array(xyz_m, np.float32), nowhere, nowhere, np.array(detections))
+    nowhere = np.zeros(1, np.intp)
+    points = [
+        SurfacePoints(box, np.array([place], np.float32), nowhere, nowhere)
+        for box, place in zip(detections, xyz_m, strict=True)
+    ]
     found = Detections(np.zeros((3, 4), np.float32), np.full(3, 0.9, np.float32), np.zeros(3, np.int64))
-    return point_cloud_message(point_records(points, found, green), Header())
+    return point_cloud_message(points, found, green, Header())
 
 
 def test_points_count_beside_the_true_place_of_their_own_object() -> None:

@@ -77,13 +77,13 @@ class PointsWanted:
     spacing_m: float = 0.0
     """See `surface_points`."""
 
-    def of(self, detections: Detections, placed: PlacedImage) -> SurfacePoints:
-        """Those on the surfaces of `detections`, with the indices of these as boxes."""
+    def of(self, detections: Detections, placed: PlacedImage) -> Iterator[SurfacePoints]:
+        """Those on the surfaces of `detections`, by object, with the index of the detection as its box."""
         is_wanted = [self.class_ids is None or one in self.class_ids for one in detections.class_ids.tolist()]
         rows = np.flatnonzero(is_wanted)
         surfaces = placed.surfaces[rows]
-        points = surface_points(surfaces, placed.depth, placed.camera, spacing_m=self.spacing_m)
-        return replace(points, boxes=rows[points.boxes])
+        for points in surface_points(surfaces, placed.depth, placed.camera, spacing_m=self.spacing_m):
+            yield replace(points, box=int(rows[points.box]))
 
 
 @dataclass(frozen=True)
@@ -191,8 +191,9 @@ class CameraPipeline:
             of_array = partial(messages.detection_3d_array_message, array, placed.placements, header.frame_id)
             yield sending(outputs.detections_3d, of_array)
         if outputs.subscribers_in_space[POINTS]:
-            records = messages.point_records(self.points.of(detections, placed), detections, image)
-            yield sending(outputs.points, partial(messages.point_cloud_message, records, header))
+            points = self.points.of(detections, placed)
+            cloud = messages.point_cloud_message(points, detections, image, header)
+            yield sending(outputs.points, partial(messages.moved_cloud, cloud))
 
     def _images(
         self, result: DetectedFrame, detections: Detections, distances_m: Sequence[float | None]
