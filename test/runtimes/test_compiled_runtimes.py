@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-import gc
-import os
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.colcon_workspace import REPOSITORY
-from support.random_model import CLASS_NAMES, TINY, random_frame, random_model
+from support.random_model import TINY, random_frame, random_model
 from support.runtime_names import COMPILED_RUNTIMES
 from support.started import printed_by
 
-from benchmark.process_memory import resident_mb
-from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.detection.prepared_model import load_detector
-from yolov5_lifecycle.images.image import ColourImage
-from yolov5_lifecycle.models.architecture import SIZES, Architecture, Layer
+from yolov5_lifecycle.models.architecture import Architecture, Layer
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.process.memory import release_unused_memory
 from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import Runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
@@ -83,23 +76,6 @@ def test_a_gpu_or_half_numbers_are_refused(runtime_name: str) -> None:
         load_runtime(random_model(), runtime_name, device="cuda:0", precision="auto")
     with pytest.raises(DeviceError, match="needs a GPU"):
         load_runtime(random_model(), runtime_name, device="auto", precision="fp16")
-
-
-@pytest.mark.long
-def test_loading_and_closing_many_times_keeps_no_memory(runtime_name: str) -> None:
-    model = random_model(0, dataclasses.replace(SIZES["n"], classes=len(CLASS_NAMES)))
-    image = ColourImage(random_frame(240, 320), "rgb")
-
-    def cycle() -> float:
-        detector = load_detector(model, runtime=runtime_name, image_size=320)
-        detector.detect(image, Selection())
-        detector.close()
-        release_unused_memory()
-        return resident_mb(os.getpid())
-
-    gc.collect()
-    used = [cycle() for _ in range(12)]
-    assert min(used[-3:]) < used[4] + 8, used  # the weights alone are 7.5 MB a time
 
 
 AFTER_MODELS = """
