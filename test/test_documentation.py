@@ -13,6 +13,8 @@ import pytest
 import yaml
 from std_msgs.msg import Header
 from support.colcon_workspace import PACKAGE, REPOSITORY
+from support.depth_messages import camera_info_message, depth_message
+from support.depth_scene import CAMERA
 from support.pages import PAGES, README, blocks, typed
 from support.segmented_scene import CAT_XYXY, DOG_XYXY, labels
 
@@ -63,6 +65,22 @@ def problems(page: Path, file: Path) -> Iterator[str]:
 def test_the_examples_of_a_page_are_understood(tmp_path: Path) -> None:
     file = tmp_path / "parameters.yaml"
     assert [f"{page.name}: {problem}" for page in PAGES for problem in problems(page, file)] == []
+
+
+def test_the_programs_of_the_pages_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first of each page; those about depth with what a camera has sent."""
+    monkeypatch.chdir(REPOSITORY)
+    depth_m = np.full(CAMERA.size_hw, 4, np.float32)
+    depth_m[80:140, 100:180] = 2
+    board = Detections(np.array([[99, 79, 181, 141]], np.float32), np.ones(1, np.float32), np.array([0]))
+    given = {"image": depth_message(depth_m, 7), "camera_info": camera_info_message(7), "detections": board}
+    for page in ("docs/depth.md", "docs/points.md", "docs/tracking.md", "docs/python.md", "README.md"):
+        exec(blocks(REPOSITORY / page, "python")[0], given)
+    shown = capsys.readouterr().out
+    expected = (", 2.0), size_xyz_m=(0.6", "0 [[", "('',)\n('1',)\n('1',)\n", "\nsquare 0.9")
+    assert [part for part in expected if part not in shown] == []
 
 
 def test_a_parameter_of_another_node_is_refused_with_the_name_that_the_page_gives() -> None:
