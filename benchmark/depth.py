@@ -16,17 +16,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 from support.depth_scene import CAMERA, LENSES, SHAPES, THIN, DepthScene, Difficulty, random_depth_scene
 from support.floor_scene import random_floor_scene
 from support.solids import KINDS
 
 from benchmark.report import Figures, Program, Row, row, timed
+from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.masks import Masks
+from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.ros.messages import point_cloud_message
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, place
-from yolov5_lifecycle.spatial.points import surface_points
-from yolov5_lifecycle.spatial.surface import Surfaces, surfaces_in
+from yolov5_lifecycle.spatial.points import SurfacePoints, surface_points
+from yolov5_lifecycle.spatial.surface import surfaces_in
 
 SCENES = {
     "sloped background": Difficulty(),
@@ -161,7 +166,7 @@ def _point_shares(scene: DepthScene, masks: Masks | None) -> tuple[float, float]
 
 
 def point_cost_rows() -> Iterator[Row]:
-    """CPU time for the points of 20 boards, one before the other, whose surfaces are found."""
+    """CPU time for the points of 20 boards, one before the other, whose surfaces are found, and a message."""
     rng, (height, width), side = np.random.default_rng(0), (720, 1280), (60, 240)
     sizes = rng.uniform(*side, (20, 2))
     starts = rng.uniform(0, 1, (20, 2)) * ((width, height) - sizes)
@@ -171,15 +176,25 @@ def point_cost_rows() -> Iterator[Row]:
         values[y1:y2, x1:x2] = depth_mm
     depth, camera = DepthImage(values, 0.001), Intrinsics(900.0, 900.0, 640.0, 360.0, (height, width))
     surfaces = surfaces_in(boxes_xyxy, depth, camera)
+    detections = Detections(boxes_xyxy, np.ones(20, np.float32), np.zeros(20, np.int64))
+    image = ColourImage(rng.integers(0, 255, (height, width, 3), np.uint8), "bgr")
     for spacing_m in (0.05, 0.02, 0.0):
-        call = partial(_count_of_points, surfaces, depth, camera, spacing_m)
-        times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
-        name = f"{call():,} points of 20 objects, {spacing_m:g} m apart"
-        yield row("CPU time", name, 0, times_ms, unit="ms of a core")
+        find = partial(surface_points, surfaces, depth, camera, spacing_m=spacing_m)
+        calls = {"": partial(_count, find), " and their message": partial(_message, find, detections, image)}
+        for what, call in calls.items():
+            times_ms = [1e3 * timed(call, time.process_time) for _ in range(20)]
+            name = f"{_count(find):,} points of 20 objects, {spacing_m:g} m apart{what}"
+            yield row("CPU time", name, 0, times_ms, unit="ms of a core")
 
 
-def _count_of_points(surfaces: Surfaces, depth: DepthImage, camera: Intrinsics, spacing_m: float) -> int:
-    return sum(len(found.rows) for found in surface_points(surfaces, depth, camera, spacing_m=spacing_m))
+def _count(find: Callable[[], Iterator[SurfacePoints]]) -> int:
+    return sum(len(found.rows) for found in find())
+
+
+def _message(
+    find: Callable[[], Iterator[SurfacePoints]], detections: Detections, image: ColourImage
+) -> PointCloud2:
+    return point_cloud_message(find(), detections, image, Header())
 
 
 def cost_rows() -> Iterator[Row]:

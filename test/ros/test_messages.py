@@ -66,7 +66,7 @@ def test_each_detection_has_its_box_in_metres_and_the_rest_of_the_2d_array() -> 
 
 @pytest.mark.parametrize("channel_order", ["rgb", "bgr"])
 def test_a_cloud_has_each_point_with_its_colour_and_detection(channel_order: ChannelOrder) -> None:
-    shown = np.zeros((48, 64, 3), np.uint8)
+    shown = np.zeros((48, 70, 3), np.uint8)[:, :64]  # rows have a padding
     shown[30, 40] = (1, 2, 250)
     xyz_m = np.array([[0.5, -0.25, 2], [1, 2, 3], [4, 5, 6]], np.float32)
     points = [

@@ -169,6 +169,14 @@ def test_a_board_has_the_centre_and_size_of_the_pinhole_camera() -> None:
     assert box.distance_m == pytest.approx(math.hypot(20 / 135, 10 / 135, 2.0))
 
 
+def test_a_few_pixels_that_differ_do_not_make_an_object_thicker() -> None:
+    depth_m = board_before_wall()
+    depth_m[100:104, 140:144] = 2.06
+    (box,) = place_in(BOX, in_metres(depth_m), CAMERA)
+    assert isinstance(box, Box3D)
+    assert box.size_xyz_m[2] == pytest.approx(0, abs=1e-6)
+
+
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0])
 def test_an_object_without_measurements_has_not_the_distance_of_what_is_behind_it(value: float) -> None:
     depth_m = board_before_wall(board_m=value)

@@ -15,10 +15,11 @@ from support.solids import KINDS
 
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import MAX_SIDE_PX
+from yolov5_lifecycle.spatial.box_samples import SIDE
 from yolov5_lifecycle.spatial.camera_model import Distortion, Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
 from yolov5_lifecycle.spatial.points import MAX_PIXELS, surface_points
-from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE, surfaces_in
+from yolov5_lifecycle.spatial.surface import MAX_BOXES_AT_ONCE, Surfaces, surfaces_in
 
 Boxes = NDArray[np.float32]
 
@@ -83,6 +84,33 @@ def test_each_object_has_its_own_points() -> None:
     assert (np.diff(found.boxes) >= 0).all()
     distances = {int(box): set(found.xyz_m[found.boxes == box, 2]) for box in set(found.boxes)}
     assert distances == {0: {1}, 2: {2}}, "what is not measured has no points"
+
+
+def test_an_object_has_the_same_points_alone_and_beside_a_nearer_one() -> None:
+    depth_m = board_before_wall()
+    depth_m[20:60, 20:60] = 1
+    boxes_xyxy = np.array([[19, 19, 61, 61], *BOX], np.float32)
+    found, alone = (points(depth_m, boxes, spacing_m=0.02) for boxes in (boxes_xyxy, BOX))
+    np.testing.assert_array_equal(found.xyz_m[found.boxes == 1], alone.xyz_m)
+
+
+def test_what_was_found_beside_an_object_is_none_of_its_points() -> None:
+    """Although it is hardly farther away; for the first of two boxes that are alike, nothing was found."""
+    depth_m = board_before_wall()
+    depth_m[:, 140:] = 2.05
+    metres = np.full((2, SIDE, SIDE), 2, np.float32)
+    beside_m = np.full_like(metres, np.nan)
+    beside_m[1, :, SIDE // 2 :] = 2.05
+    surfaces = Surfaces(np.repeat(BOX, 2, axis=0), metres, beside_m)
+    first, second = surface_points(surfaces, DepthImage(depth_m, 1.0), CAMERA)
+    assert (set(first.columns), set(second.columns)) == ({*range(100, 181)}, {*range(100, 140)})
+
+
+def test_a_box_between_two_pixels_has_no_points() -> None:
+    """As that of an object which has nearly left the image."""
+    found = points(np.full(CAMERA.size_hw, 3, np.float32), np.array([[319.7, 50, 320, 150]], np.float32))
+    assert len(found.rows) == 0
+    assert {found.rows.dtype, found.columns.dtype} == {np.dtype(np.intp)}, "indices of pixels"
 
 
 @pytest.mark.parametrize(
@@ -188,11 +216,11 @@ def test_boxes_that_show_nothing_have_no_points(boxes_xyxy: list[list[float]]) -
     assert (found.xyz_m.shape, found.rows.shape, found.boxes.shape) == ((0, 3), (0,), (0,))
 
 
-def test_the_largest_image_has_points_in_bounded_number() -> None:
-    side = MAX_SIDE_PX
-    values = np.broadcast_to(np.uint16(2000), (side, side))
-    camera = Intrinsics(9000.0, 9000.0, side / 2, side / 2, (side, side))
-    everywhere = np.repeat(np.array([[0, 0, side, side]], np.float32), 3, axis=0)
+def test_a_large_image_has_points_in_bounded_number() -> None:
+    height, width = size_hw = MAX_SIDE_PX // 4, MAX_SIDE_PX
+    values = np.broadcast_to(np.uint16(2000), size_hw)
+    camera = Intrinsics(9000.0, 9000.0, width / 2, height / 2, size_hw)
+    everywhere = np.repeat(np.array([[0, 0, width, height]], np.float32), 3, axis=0)
     found = points_in(everywhere, DepthImage(values, 0.001), camera)
     assert 0.8 * MAX_PIXELS < len(found.rows) <= MAX_PIXELS
 

@@ -146,23 +146,21 @@ def point_cloud_message(
         colours = pixels.take(of_object.rows * width + of_object.columns, axis=0)
         bgr = colours if image.channel_order == "bgr" else colours[:, ::-1]
         records.append(_point_records(of_object, bgr, detections))
-    data = array("B")
-    for each in records:  # not before all are there: an array is copied when it grows between other memory
-        data.frombytes(each.view(np.uint8).data)
-    return PointCloud2(
+    message = PointCloud2(
         header=header,
         height=1,
-        width=len(data) // _POINT.itemsize,
+        width=sum(map(len, records)),
         fields=[
             PointField(name=name, offset=offset, datatype=_DATATYPES[dtype], count=1)
             for name, (dtype, offset, *_) in (_POINT.fields or {}).items()
         ],
         is_bigendian=False,
         point_step=_POINT.itemsize,
-        row_step=len(data),
-        data=data,
+        row_step=sum(each.nbytes for each in records),
         is_dense=True,
     )
+    message.data = array("B", b"".join(each.view(np.uint8).data for each in records))
+    return message
 
 
 def _point_records(points: SurfacePoints, bgr: NDArray[np.uint8], detections: Detections) -> NDArray[Any]:
@@ -179,9 +177,9 @@ def _point_records(points: SurfacePoints, bgr: NDArray[np.uint8], detections: De
 def moved_cloud(cloud: PointCloud2, transform: Transform | None) -> PointCloud2:
     """The same message, its points moved to the frame to which `transform` leads; None: they are there."""
     if transform is not None:
-        records = points_of_cloud(cloud)
-        xyz_m = np.stack([records[axis] for axis in "xyz"], axis=1)
-        records["x"], records["y"], records["z"] = moved(xyz_m, transform).T
+        xyz_m = points_of_cloud(cloud).view("<f4").reshape(cloud.width, -1)[:, :3]
+        for part in np.array_split(xyz_m, len(xyz_m) // 10_000 + 1):  # each small enough for the cache
+            part[:] = moved(part, transform)
     return cloud
 
 

@@ -92,7 +92,8 @@ def _points(
     if max(block_hw) > 1:
         kept = _one_a_block(down // block_hw[0], across // block_hw[1])
         seen, down, across = seen[kept], down[kept], across[kept]
-    return _in_space(np.asarray(rows)[down], np.asarray(columns)[across], metres.ravel()[seen], camera)
+    row, column = np.asarray(rows, np.intp)[down], np.asarray(columns, np.intp)[across]
+    return _in_space(row, column, metres.ravel()[seen], camera)
 
 
 def _in_space(

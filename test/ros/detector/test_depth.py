@@ -257,7 +257,7 @@ def test_with_a_segmentation_model_what_is_nearer_beside_the_mask_is_not_the_obj
         camera = DepthClient(served, wall_m=4.0, size_hw=SIZE_HW)
         begin(camera)
         camera.depth_m[32:80, 16:40] = 2
-        camera.depth_m[36:76, 44:60] = 1
+        camera.depth_m[32:80, 40:64] = 1
         (cat,) = camera.place().detections
         assert cat.bbox.center.position.z == pytest.approx(2)
         assert served.set(depth=False) == (True, "")

@@ -105,7 +105,10 @@ def test_detections_and_points_are_in_the_frame_that_is_set(
     camera.served.wait_for(lambda: bool(camera.place()) and bool(clouds.received), "a cloud")
     cloud = clouds.received[-1]
     assert cloud.header.frame_id == "base_link"
-    assert {round(float(x), 3) for x in points_of(cloud)["x"]} == {2.2}
+    points = points_of(cloud)
+    assert {round(float(x), 3) for x in points["x"]} == {2.2}
+    middle = [(points[axis].min() + points[axis].max()) / 2 for axis in "yz"]
+    assert middle == pytest.approx(OF_ROBOT_XYZ_M[1:], abs=0.02)
 
 
 def test_what_has_no_transform_yet_waits_for_it_in_order_and_delays_no_detections(
