@@ -63,6 +63,10 @@ VALUES: dict[str, tuple[bytes, str]] = {
         "calls 'method'",
     ),
     "a name that looks like a layer": (name("models.yolo os", "system"), "do not trust"),
+    "a name that is too long": (
+        text("os") + text("x" * 500) + asm.STACK_GLOBAL,
+        "a name of more than 500 characters",
+    ),
     "a name with an escape": (name("models.y\\x6flo", "Model"), "do not trust"),
     "a name as protocol 4 writes it, in a frame": (
         asm.frame(stacked_name("os", "system") + items(SHELL) + asm.REDUCE),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.sources.scene import cluttered_background
-from yolov5_lifecycle.tracking.byte_tracker import ByteTracker, TrackedDetection
+from yolov5_lifecycle.tracking.byte_tracker import TrackedDetection
 
 LEFT = Region(((0.0, 0.0), (0.5, 0.0), (0.5, 1.0), (0.0, 1.0)))
 IMAGE = ColourImage(np.zeros((64, 64, 3), np.uint8), "rgb")
@@ -43,8 +43,10 @@ def predicted(listed: Sequence[tuple[float, ...]]) -> NDArray[np.float32]:
     return raw
 
 
-def new_tracking(settings: Settings | None = None) -> TrackedDetection:
-    return TrackedDetection(ByteTracker(itertools.count(1)), settings or Settings())
+def new_tracking(**changes: Any) -> TrackedDetection:
+    tracking = TrackedDetection.started(Settings(tracker="bytetrack", **changes), itertools.count(1))
+    assert tracking is not None
+    return tracking
 
 
 def found_in(
@@ -85,7 +87,7 @@ def test_the_same_is_published_with_a_tracker_and_without(
 def test_a_detection_that_is_not_published_continues_its_track() -> None:
     scores = (0.9, 0.9, 0.15, 0.15, 0.9)
     images = [predicted([(32, 32, 20, 20, score, 0)]) for score in scores]
-    tracking = new_tracking(Settings(track_timeout=0.15))  # one missing image, not two
+    tracking = new_tracking(track_timeout=0.15)  # one missing image, not two
     assert [found.track_ids for found in found_in(images, Selection(), tracking)] == [
         ("",),
         ("1",),
@@ -114,7 +116,7 @@ def test_a_camera_that_jumps_keeps_its_ids_if_its_motion_is_looked_for(
     motion: Literal["auto", "off"], expected: set[tuple[str, ...]]
 ) -> None:
     images, rows = jumping()
-    detector, tracking = detector_of(rows), new_tracking(Settings(track_camera_motion=motion))
+    detector, tracking = detector_of(rows), new_tracking(track_camera_motion=motion)
     ids = [
         tracking.detect(detector, image, Selection(), number / 10).track_ids
         for number, image in enumerate(images)
@@ -125,7 +127,7 @@ def test_a_camera_that_jumps_keeps_its_ids_if_its_motion_is_looked_for(
 def test_the_motion_of_the_camera_may_be_switched_on_while_it_tracks() -> None:
     """The image before was not looked at, so the first motion is that of the next image."""
     images, rows = jumping(4)
-    tracking = new_tracking(Settings(track_camera_motion="off"))
+    tracking = new_tracking(track_camera_motion="off")
     detector = detector_of([*rows[:2], *rows])
     for number in range(2):
         tracking.detect(detector, images[number], Selection(), number / 10)

@@ -24,6 +24,7 @@ from support.detector_process import (
     environment,
 )
 from support.page_fixtures import CAMERA, ConsoleRobot, opened
+from support.served_node import messages_of
 from support.worker import worker_domain
 
 from yolov5_lifecycle.ros.child_process import ChildProcess, entry_point
@@ -33,6 +34,8 @@ pytestmark = pytest.mark.long
 
 def test_the_image_is_that_of_the_detector_at_its_stamp(robot: ConsoleRobot, page: ConsolePage) -> None:
     sent: dict[float, bytes] = {}
+    (result,) = robot.detector.set_one_by_one(messages_of(max_rate=2.0))  # slow enough to see every image
+    assert result.successful
     page.wait_for_image()
     with ConsoleClient(robot.url).viewer() as viewer:
 
