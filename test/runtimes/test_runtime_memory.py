@@ -1,4 +1,4 @@
-"""What a runtime takes: the memory that is computed before it is loaded until it is closed, no telemetry."""
+"""What a runtime takes: the memory that is computed before, given back on close; no threads, no telemetry."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def kept_mb(runtime: str) -> float:
 
 
 def in_new_process(measure: Callable[[str], float], runtime: str, tmp_path: Path) -> float:
-    """In a process that has run tests, these have left free memory, and heaps that grow by leaps."""
+    """A process that has run tests has free memory from them, and heaps that grow by leaps."""
     module, name = f"runtimes.{Path(__file__).stem}", measure.__name__
     program = f"from {module} import {name}; print({name}({runtime!r}))"
     return float(printed_by(program, variables=SUPPORT_PATH | {"XDG_CACHE_HOME": str(tmp_path)}))
