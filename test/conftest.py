@@ -6,6 +6,7 @@ import gc
 import os
 import re
 import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,6 +48,9 @@ settings.load_profile("suite")
 def pytest_configure(config: pytest.Config) -> None:
     is_worker = "PYTEST_XDIST_WORKER" in os.environ
     config.pluginmanager.register(Worker() if is_worker else WholeRun(config.getvalue("maxfail") or 0))
+    if sys.version_info < (3, 11):  # asyncio's own: of a connection that the other side ended
+        ended = "ignore:unclosed transport <asyncio.sslproto._SSLProtocolTransport:ResourceWarning"
+        config.addinivalue_line("filterwarnings", ended)
 
 
 @pytest.hookimpl(optionalhook=True)

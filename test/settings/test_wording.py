@@ -39,7 +39,7 @@ def test_ros_reads_the_text_of_a_default_as_the_default() -> None:
         assert parameter_value(value_text(default)) == read
 
 
-@pytest.mark.parametrize("value", ["a" * 10_000_000, ("a" * 1_000_000,) * 1000], ids=["string", "list"])
+@pytest.mark.parametrize("value", ["a" * 1_000_000, ("a" * 1_000_000,) * 1000], ids=["string", "list"])
 def test_a_long_value_is_cut(value: object) -> None:
     assert len(shown_value(value)) == MAX_SHOWN
     assert shown_value(value).endswith("...")

@@ -35,7 +35,7 @@ class Archive:
     def __init__(self, archive: zipfile.ZipFile, folder: str) -> None:
         self._archive = archive
         self._folder = folder
-        self._storages: dict[str, memoryview] = {}
+        self._storages: dict[str, bytearray] = {}
 
     def has(self, name: str) -> bool:
         """Whether there is a record named `name`."""
@@ -47,13 +47,13 @@ class Archive:
             raise WeightsError(f"the storage {shown(key)} is missing: copy or download the file again")
         return self._archive.getinfo(f"{self._folder}/data/{key}").file_size
 
-    def storage(self, key: str) -> memoryview:
+    def storage(self, key: str) -> bytearray:
         """The writable bytes of the storage `key`, read once and checked against their CRC.
 
         However many tensors are views of them, they take no more memory than the file. Raises WeightsError.
         """
         if key not in self._storages:
-            self._storages[key] = io.BytesIO(self.record(f"data/{key}")).getbuffer()
+            self._storages[key] = bytearray(self.record(f"data/{key}"))
         return self._storages[key]
 
     def record(self, name: str, most_bytes: int = -1) -> bytes:

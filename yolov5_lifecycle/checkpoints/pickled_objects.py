@@ -186,7 +186,7 @@ class StoredTensor:
         """A meta tensor of the same shape and dtype, without data."""
         return torch.empty(self.shape, dtype=self.dtype, device="meta")
 
-    def of(self, content: memoryview) -> Tensor:
+    def of(self, content: bytearray) -> Tensor:
         """The tensor as a view of `content`, the writable bytes of the storage. Raises WeightsError."""
         if len(content) != self.storage.size_bytes:
             raise WeightsError(

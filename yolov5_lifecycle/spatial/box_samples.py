@@ -163,14 +163,13 @@ def is_on_plane_beyond(samples: BoxSamples) -> NDArray[np.bool_]:
     measured = is_free.astype(np.float32) @ _GROUPS.T
     errors = around.transpose(0, 2, 1) @ _trials(around)  # (n, r, trials)
     errors -= 1
-    is_near = np.abs(errors, out=errors) < _TRIAL_TOLERANCE
-    near = is_near.astype(np.float32)
+    near = np.less(np.abs(errors, out=errors), _TRIAL_TOLERANCE, out=errors)
     is_on_any = np.zeros((count, GRID * GRID), np.bool_)
     for _ in range(_PLANES):
         best, is_plane = _best(near, is_free, measured)
         if not is_plane.any():
             break
-        plane, noise = _refined(around, is_free, is_near[np.arange(count), :, best])
+        plane, noise = _refined(around, is_free, near[np.arange(count), :, best] > 0)
         plane *= is_plane[:, None]
         is_on_any |= _is_on(plane, noise, terms)
         is_free &= ~_is_on(plane, noise, around)
