@@ -1,35 +1,26 @@
-"""The image's recipe agrees with the package; docker/try-build builds the image."""
+"""The recipe of the image agrees with the package; docker/try-image tries the image itself."""
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-from fnmatch import fnmatch
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import Any
 
 import pytest
-import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.clean_environment import pins
-from support.colcon_workspace import COMMANDS, PACKAGE, REPOSITORY
-from support.pages import typed
-
-from yolov5_lifecycle.ros.camera.settings import CameraSettings
-from yolov5_lifecycle.settings.settings import SETTINGS, Settings
+from support.colcon_workspace import PACKAGE, REPOSITORY
 
 pytestmark = pytest.mark.long
 
 ENTRYPOINT = REPOSITORY / "docker" / "entrypoint"
 BUILT = f"install/{PACKAGE}/lib/{PACKAGE}/detector"
-SHARE = f"/workspace/install/{PACKAGE}/share/{PACKAGE}/"
 FROM_APT = {"numpy": "python3-numpy", "pyyaml": "python3-yaml"}
 
 
@@ -42,11 +33,6 @@ def instructions() -> list[tuple[str, str]]:
 
 def arguments_of(name: str) -> list[str]:
     return [argument for instruction, argument in instructions() if instruction == name]
-
-
-def variables() -> dict[str, str]:
-    """What ENV sets."""
-    return dict(entry.split("=") for entry in arguments_of("ENV"))
 
 
 def pip_installs() -> list[list[str]]:
@@ -111,79 +97,12 @@ def test_a_build_that_lacks_what_the_entry_point_runs_fails(colcon: str, code: i
     assert ("colcon made no install/" in tried.stderr) == bool(code)
 
 
-def test_the_image_runs_without_root_and_keeps_weights_where_the_node_looks() -> None:
-    (user,) = arguments_of("USER")
-    (volume,) = arguments_of("VOLUME")
-    assert int(user) > 0
-    home = Path(variables()["HOME"])
-    assert Settings().weights_dir.replace("~", str(home)) == volume
-    assert any(volume in run and f"-o {home.name}" in run for run in arguments_of("RUN"))
-
-
-def test_what_is_installed_in_the_image_is_not_ignored() -> None:
-    ignored = (REPOSITORY / ".dockerignore").read_text().split("\n")
-    needed = ["setup.py", "setup.cfg", "package.xml", "resource", PACKAGE, "config", "launch", "weights"]
-    assert [(name, one) for name in needed for one in ignored if fnmatch(name, one)] == []
-
-
 def test_setup_does_without_the_files_that_the_image_leaves_out(tmp_path: Path) -> None:
     for name in ("setup.py", "setup.cfg", "package.xml", "pyproject.toml"):
         shutil.copy(REPOSITORY / name, tmp_path)
     command = [sys.executable, "setup.py", "--name", "--description", "--long-description"]
     run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (run.returncode, run.stdout.splitlines()[:1]) == (0, [PACKAGE]), run.stderr
-
-
-def check_command(words: list[str]) -> None:
-    """`words` behind the entry point name an executable, parameters and files that exist."""
-    assert words[0] in COMMANDS
-    allowed = {
-        "detector": {setting.name for setting in SETTINGS},
-        "camera": set(CameraSettings.model_fields),
-        "console": set[str](),
-    }[words[0]]
-    assert set(re.findall(r"-p (\w+):=", " ".join(words))) <= allowed
-    files = [word.removeprefix(SHARE) for word in words if word.startswith("/workspace")]
-    assert [file for file in files if not (REPOSITORY / file).is_file()] == []
-
-
-def test_the_image_starts_the_detector() -> None:
-    (command,) = arguments_of("CMD")
-    check_command(json.loads(command))
-    assert arguments_of("ENTRYPOINT") == ['["/entrypoint"]']
-
-
-def test_the_services_of_compose_share_memory_and_the_weights_of_the_image() -> None:
-    services: dict[str, Any] = yaml.safe_load((REPOSITORY / "compose.yaml").read_text())["services"]
-    for name in ("camera", "detector", "console"):
-        check_command(services[name]["command"].split())
-        assert (services[name]["network_mode"], services[name]["ipc"]) == ("host", "host")
-        profile = services[name]["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
-        assert (REPOSITORY / profile.removeprefix(SHARE)).is_file()
-    (mount,) = services["detector"]["volumes"]
-    assert mount.split(":")[1] in arguments_of("VOLUME")
-
-
-def test_a_node_that_is_not_active_is_not_healthy_and_has_time_to_answer() -> None:
-    (check,) = arguments_of("HEALTHCHECK")
-    command = json.loads(check.partition(" CMD ")[2])
-    assert command[:3] == ["/entrypoint", "bash", "-c"]
-    pattern = shlex.split(command[3].partition("| grep -q ")[2])[0]
-    states = ["unconfigured [1]", "inactive [2]", "active [3]", "Node not found"]
-    assert [state for state in states if re.search(pattern, state)] == ["active [3]"]
-    assert variables()["YOLOV5_NODE"] == "/yolov5"
-    (discovery_s, limit_s) = re.findall(r"--(?:spin-time |timeout=)(\d+)", check)[::-1]
-    assert 5 <= int(discovery_s) <= int(limit_s) / 3, "ros2 itself waits half a second"
-
-
-def test_what_builds_with_podman_keeps_the_health_check() -> None:
-    lines = [
-        *typed(REPOSITORY / "docs" / "docker.md"),
-        *(ENTRYPOINT.parent / "try-build").read_text().splitlines(),
-    ]
-    builds = [line for line in lines if re.search(r"\b(podman|buildah) (build|bud)\b", line)]
-    assert len(builds) == 2
-    assert [line for line in builds if "--format docker" not in line] == []
 
 
 def entered(workspace: Path, *words: str) -> subprocess.CompletedProcess[str]:

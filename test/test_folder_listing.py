@@ -20,10 +20,10 @@ def low_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folder_listing, "MAX_ENTRIES", LIMIT)
 
 
-def filled(folder: Path, count: int, suffix: str = ".jpg") -> Path:
+def filled(folder: Path, count: int) -> Path:
     folder.mkdir(exist_ok=True)
     for number in range(count):
-        (folder / f"{number}{suffix}").touch()
+        (folder / f"{number}.jpg").touch()
     return folder
 
 

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin
-from support.checkpoint_builder import official_model, saved, stripped
 from support.clean_environment import build_environment, build_wheel
 from support.colcon_workspace import COMMANDS, PACKAGE
 from support.official_types import OFFICIAL_HASHES
@@ -109,13 +108,6 @@ def test_a_recording_is_detected_in(executables: Path, tmp_path: Path) -> None:
     assert f"{COUNT}: {COUNT} detected, 0 rejected, 0 failed" in told.stderr
     with Reader(tmp_path / "found") as reader:
         assert reader.topics["/yolov5/detections"].msgcount == COUNT
-
-
-def test_a_checkpoint_is_converted(executables: Path, tmp_path: Path) -> None:
-    (tmp_path / "model.pt").write_bytes(saved(stripped(official_model())))
-    told = run(tmp_path, executables / "convert", "model.pt", "model.safetensors")
-    assert (told.returncode, told.stderr) == (0, "")
-    assert (tmp_path / "model.safetensors").is_file()
 
 
 def test_with_the_extra_ros_the_demo_needs_no_compiler_and_no_ros_from_apt(

@@ -22,7 +22,6 @@ from support.started import printed_by
 import yolov5_lifecycle
 from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.detection.nms import Selection
-from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.settings.schema import SettingsError
@@ -173,7 +172,6 @@ def test_the_settings_are_those_that_were_given() -> None:
             id="every-wrong-value",
         ),
         pytest.param({"classes": ["circel"]}, SettingsError, "Did you mean 'circle'?", id="unknown-class"),
-        pytest.param({"regions": "0,0 1,0 1,1"}, SettingsError, r'mean \["0,0 1,0 1,1"\]', id="one-region"),
     ],
 )
 def test_what_cannot_be_loaded_is_refused(
@@ -182,16 +180,3 @@ def test_what_cannot_be_loaded_is_refused(
     values = {"weights": WEIGHTS, "device": "cpu", "runtime": "torch", **settings}
     with pytest.raises(error, match=told):
         load_model(**values)
-
-
-@pytest.mark.parametrize(
-    ("pixels", "told"),
-    [
-        pytest.param(None, "found NoneType", id="failed-imread"),
-        pytest.param(np.zeros((8, 8), np.uint8), r"found uint8 of shape \(8, 8\)", id="grey"),
-        pytest.param(np.zeros((8, 8, 3)), "found float64", id="float"),
-    ],
-)
-def test_what_is_no_image_is_refused(detector: Detector, pixels: Any, told: str) -> None:
-    with pytest.raises(ImageError, match=told):
-        detector(pixels)

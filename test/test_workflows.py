@@ -38,20 +38,6 @@ def test_a_workflow_has_no_rights_and_a_job_changes_only_what_it_is_there_for() 
     assert read <= {"contents"}
 
 
-def test_a_job_ends() -> None:
-    assert all(
-        0 < job["timeout-minutes"] <= 360 for *_, job in JOBS if "runs-on" in job
-    )  # others are workflows
-
-
-def test_a_variable_that_a_workflow_gives_to_make_is_one_of_the_makefile() -> None:
-    makefile = (REPOSITORY / "Makefile").read_text()
-    scripts = "\n".join(re.sub(r'"[^"]*"', "", step.get("run", "")) for step in STEPS)
-    given = {name for words in re.findall(r"\bmake (.*)", scripts) for name in re.findall(r"(\w+)=", words)}
-    assert "TORCH" in given
-    assert [name for name in given if not re.search(rf"^{name} \?=", makefile, re.MULTILINE)] == []
-
-
 def test_no_workflow_gives_the_rights_of_this_repository_to_a_change_of_strangers() -> None:
     for name, workflow in WORKFLOWS.items():
         triggers = workflow[True]  # what YAML makes of the key `on`

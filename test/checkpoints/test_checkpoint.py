@@ -15,6 +15,7 @@ import pytest
 import torch
 from support.checkpoint_builder import (
     SMALL,
+    assert_same,
     foreign,
     head,
     in_one_storage,
@@ -147,12 +148,6 @@ def test_synchronized_normalisation_that_computes_something_else_is_refused() ->
     vars(layers_of(model)["0"])["_modules"]["bn"].track_running_stats = False
     with pytest.raises(WeightsError, match="track_running_stats is False"):
         read_checkpoint(saved(stripped(model)))
-
-
-def assert_same(found: Model, expected: Model) -> None:
-    assert (found.architecture, found.class_names) == (expected.architecture, expected.class_names)
-    assert found.state_dict.keys() == expected.state_dict.keys()
-    assert all(torch.equal(found.state_dict[key], each) for key, each in expected.state_dict.items())
 
 
 @pytest.mark.parametrize(("make", "message"), WRONG.values(), ids=WRONG)
@@ -361,4 +356,3 @@ def test_the_official_model_is_the_same_to_the_bit_as_safetensors(
     write_safetensors(official, path)
     again = read_safetensors(path.read_bytes())
     assert_same(again, official)
-    assert all(again.state_dict[key].dtype is each.dtype for key, each in official.state_dict.items())

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,25 +26,22 @@ MAX_GROWN_MB = 100
 """The memory of a process may grow by this much while it reads a file; some ask for 16 TB."""
 
 
+def made(files: Mapping[str, tuple[Callable[[], bytes], str]]) -> Iterator[Case]:
+    return ((name, make(), told) for name, (make, told) in files.items())
+
+
 def checkpoints() -> Iterator[Case]:
     yield from hostile_pickles.hostile_pickles()
-    for name, (make, told) in {**hostile_archives.ARCHIVES, **MODELS}.items():
-        yield name, make(), told
+    yield from made({**hostile_archives.ARCHIVES, **MODELS})
     for name, (architecture, told) in COSTLY.items():
         names = [f"class {index}" for index in range(architecture.classes)]
         yield name, saved(stripped(official_model(architecture, names))), told
 
 
 def safetensors() -> Iterator[Case]:
-    for name, (make, told) in hostile_safetensors.FILES.items():
-        yield name, make(), told
+    yield from made(hostile_safetensors.FILES)
     name, (architecture, told) = next(iter(COSTLY.items()))
     yield name, hostile_safetensors.written(random_model(0, architecture)), told
-
-
-def exports() -> Iterator[Case]:
-    for name, (make, told) in hostile_onnx.FILES.items():
-        yield name, make(), told
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +53,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cases(folder: Path) -> Mapping[str, tuple[str, str]]:
     """Name and expected refusal of each file by its path."""
     written = {}
-    for suffix, table in ((".pt", checkpoints()), (".safetensors", safetensors()), (".onnx", exports())):
+    exports = made(hostile_onnx.FILES)
+    for suffix, table in ((".pt", checkpoints()), (".safetensors", safetensors()), (".onnx", exports)):
         for index, (name, data, told) in enumerate(table):
             file = folder / f"{index:03}{suffix}"
             file.write_bytes(data)

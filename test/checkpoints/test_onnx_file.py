@@ -120,22 +120,6 @@ def test_an_export_of_another_exporter_is_read(change: Callable[[Any], None]) ->
     assert read_onnx(hostile_onnx.changed(change)()).class_names == NAMES
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        pytest.param(*hostile_onnx.FILES["poses"], id="poses"),
-        pytest.param(
-            hostile_onnx.changed(lambda model: setattr(hostile_onnx.array(model), "data_type", 99)),
-            "and kind 99 has",
-            id="unknown numbers",
-        ),
-    ],
-)
-def test_an_export_of_something_else_is_refused(make: Callable[[], bytes], message: str) -> None:
-    with pytest.raises(WeightsError, match=message):
-        read_onnx(make())
-
-
 def test_an_export_is_loaded_but_not_converted(tmp_path: Path) -> None:
     path = tmp_path / "best.ONNX"
     path.write_bytes(small_export())

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import save
-from support.checkpoint_builder import SMALL
+from support.checkpoint_builder import SMALL, assert_same
 from support.hostile_safetensors import parted
 from support.random_model import CLASS_NAMES, random_model, random_network
 from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.safetensors_file import read_safetensors, write_safetensors
 from yolov5_lifecycle.checkpoints.yaml_architecture import MAX_LEVELS
-from yolov5_lifecycle.models.architecture import Layer
+from yolov5_lifecycle.models.architecture import Architecture, Layer
 from yolov5_lifecycle.models.model import Model, WeightsError
 from yolov5_lifecycle.models.network import Network
 
@@ -45,29 +45,28 @@ def test_a_model_comes_back_as_it_was_written_in_no_more_bytes(
     data = (tmp_path / "a.safetensors").read_bytes()
     assert parted(data)[0][CONVOLUTION]["dtype"] == dtype
     again = read_safetensors(data)
-    assert (again.architecture, again.class_names) == (model.architecture, model.class_names)
-    assert again.state_dict.keys() == model.state_dict.keys()
-    for key, tensor in again.state_dict.items():
-        assert tensor.dtype is model.state_dict[key].dtype, key
-        assert torch.equal(tensor, model.state_dict[key]), key
+    assert_same(again, model)
     Network(again.architecture).load_state_dict(again.state_dict, strict=True)
 
 
-@pytest.mark.parametrize("levels", [1, MAX_LEVELS], ids=["one", "the most"])
-def test_a_model_of_one_level_and_one_of_the_most_come_back(levels: int, tmp_path: Path) -> None:
-    architecture = dataclasses.replace(
+def of_levels(count: int) -> Architecture:
+    return dataclasses.replace(
         SMALL,
-        anchors_px=(((10, 13), (16, 30)),) * levels,
-        strides=(4,) * levels,
-        layers=(*SMALL.layers[:2], Layer((1,) * levels, 1, "Detect")),
+        anchors_px=(((10, 13), (16, 30)),) * count,
+        strides=(4,) * count,
+        layers=(*SMALL.layers[:2], Layer((1,) * count, 1, "Detect")),
     )
-    path = tmp_path / "levels.safetensors"
-    write_safetensors(random_model(0, architecture), path)
-    assert read_safetensors(path.read_bytes()).architecture == architecture
 
 
-def test_activations_that_differ_from_layer_to_layer_come_back(tmp_path: Path) -> None:
-    architecture = SMALL_FAMILIES["convolutions"]
+@pytest.mark.parametrize(
+    "architecture",
+    [
+        pytest.param(of_levels(1), id="one level"),
+        pytest.param(of_levels(MAX_LEVELS), id="the most levels"),
+        pytest.param(SMALL_FAMILIES["convolutions"], id="activations that differ"),
+    ],
+)
+def test_an_unusual_architecture_comes_back(architecture: Architecture, tmp_path: Path) -> None:
     write_safetensors(random_model(0, architecture), tmp_path / "a.safetensors")
     assert read_safetensors((tmp_path / "a.safetensors").read_bytes()).architecture == architecture
 

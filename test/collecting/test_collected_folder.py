@@ -42,20 +42,16 @@ LARGE = Quota(max_bytes=1 << 30, max_frames=1000, min_free_bytes=0)
 ROOM = 3
 
 
-def images(folder: Path) -> list[str]:
-    return sorted(os.fspath(path.relative_to(folder)) for path in folder.rglob("*.jpg"))
-
-
-def labels(folder: Path) -> list[str]:
-    return sorted(os.fspath(path.relative_to(folder)) for path in folder.rglob("*.txt"))
+def files(folder: Path, pattern: str = "*.jpg") -> list[str]:
+    return sorted(os.fspath(path.relative_to(folder)) for path in folder.rglob(pattern))
 
 
 def check(folder: Path, names: tuple[str, ...] = CLASS_NAMES) -> int:
     """Check that the images, the labels and the list agree; return their number."""
     kept = [image.path for image in images_of(folder)]
     assert kept == recorded_images(folder)
-    assert kept == images(folder)
-    assert [file_of(image, LABELS) for image in kept] == labels(folder)
+    assert kept == files(folder)
+    assert [file_of(image, LABELS) for image in kept] == files(folder, "*.txt")
     assert [*folder.rglob(".*")] == []
     told: list[str] = []
     problems = Problems(told.append)
@@ -81,8 +77,8 @@ def test_a_kept_frame_is_an_image_its_labels_and_a_line(tmp_path: Path) -> None:
     assert (frame.frame_id, frame.sec, frame.nanosec, frame.size_wh) == ("optical_frame", 12, 34, (64, 48))
     assert [(each.class_name, each.box_xyxy) for each in frame.objects] == [("cat", (10, 10, 30, 40))]
     assert frame.weights_sha256 == "ab" * 32
-    files = (file_of(frame.image, kind) for kind in (IMAGES, LABELS, FRAMES))
-    written = sum((tmp_path / "new" / path).stat().st_size for path in files)
+    parts = (file_of(frame.image, kind) for kind in (IMAGES, LABELS, FRAMES))
+    written = sum((tmp_path / "new" / path).stat().st_size for path in parts)
     assert folder.size_bytes == written
     folder.close()
     assert check(tmp_path / "new") == 1
@@ -95,7 +91,7 @@ def test_the_least_valuable_frame_goes_first_and_of_equals_the_oldest(tmp_path: 
     folder.close()
     assert check(tmp_path) == ROOM
     assert [frame.value for frame in frames_of(tmp_path)] == [2.0, 2.0, 1.0]
-    assert images(tmp_path) == [f"images/{folder.session.name}/{number:06d}.jpg" for number in (1, 4, 6)]
+    assert files(tmp_path) == [f"images/{folder.session.name}/{number:06d}.jpg" for number in (1, 4, 6)]
     CollectedFolder(tmp_path, replace(LARGE, max_frames=1)).close()  # a smaller one takes effect at once
     assert [frame.value for frame in frames_of(tmp_path)] == [2.0]
 
@@ -114,7 +110,7 @@ def test_an_image_that_somebody_deletes_takes_no_room(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, replace(LARGE, max_frames=ROOM))
     for seed, value in enumerate([3.0, 1.0, 2.0]):
         assert keep(folder, seed, value=value)
-    (tmp_path / images(tmp_path)[0]).unlink()
+    (tmp_path / files(tmp_path)[0]).unlink()
     assert keep(folder, 3, value=0.5)
     assert not keep(folder, 4, value=0.4)
     folder.close()
@@ -155,7 +151,7 @@ def test_what_was_kept_before_is_known_again_and_a_process_goes_on_with_its_sess
     other = CollectedFolder(tmp_path, LARGE, session=first.session)
     keep(other, 6)
     other.close()
-    assert images(tmp_path) == [f"images/{first.session.name}/{number:06d}.jpg" for number in (1, 2)]
+    assert files(tmp_path) == [f"images/{first.session.name}/{number:06d}.jpg" for number in (1, 2)]
 
 
 def test_models_with_other_classes_share_the_folder_by_their_names(tmp_path: Path) -> None:
@@ -184,7 +180,7 @@ def test_without_space_nothing_is_written(tmp_path: Path) -> None:
     folder = CollectedFolder(tmp_path, replace(LARGE, min_free_bytes=1 << 60))
     with pytest.raises(CollectingError, match="free on the disk"):
         keep(folder)
-    assert images(tmp_path) == labels(tmp_path) == []
+    assert files(tmp_path) == files(tmp_path, "*.txt") == []
 
 
 def test_nothing_is_written_into_another_folder_of_the_same_name(tmp_path: Path) -> None:
@@ -244,7 +240,7 @@ def test_without_the_names_of_its_classes_a_folder_is_refused(tmp_path: Path, da
     description.unlink() if damage == "missing" else description.write_text("names: {{{")
     with pytest.raises(CollectingError, match=r"data\.yaml"):
         CollectedFolder(tmp_path, LARGE)
-    assert len(images(tmp_path)) == 1
+    assert len(files(tmp_path)) == 1
 
 
 def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> None:
@@ -368,7 +364,7 @@ def test_a_process_that_is_killed_leaves_a_readable_folder(tmp_path: Path) -> No
                 assert writer.stdout.readline()
             writer.send_signal(signal.SIGKILL)
         left = images_of(tmp_path)
-        assert [kept.path for kept in left] == images(tmp_path)
+        assert [kept.path for kept in left] == files(tmp_path)
         assert all((tmp_path / file_of(kept.path, LABELS)).exists() for kept in left)
         CollectedFolder(tmp_path, LARGE).close()
         assert 1 <= check(tmp_path) <= 20

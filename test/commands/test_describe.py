@@ -9,7 +9,6 @@ import pytest
 from support.checkpoint_builder import layers_of, official_model, saved, stripped
 from support.onnx_exports import small_export
 from support.small_families import EVERY_SMALL, SMALL_FAMILIES
-from support.wrong_models import MODELS
 from torch import nn
 
 from yolov5_lifecycle.checkpoints.pt_file import read_checkpoint
@@ -88,16 +87,6 @@ def test_of_a_refused_file_size_and_reason_are_told(
     facts = described(written(tmp_path, stripped(model)), capsys, code=1)
     assert facts.keys() == {"file", "size", "usable"}
     assert facts["usable"].startswith("no: the module model.0.act is a 'GELU'")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("case", [name for name in MODELS if "text" in name or "name" in name])
-def test_no_wrong_file_breaks_the_screen(
-    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "wrong.pt"
-    path.write_bytes(MODELS[case][0]())
-    assert described(path, capsys, code=1)["usable"].startswith("no: ")
 
 
 def test_a_file_that_is_not_there_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

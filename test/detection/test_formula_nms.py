@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from support.formula_model import expected_nms, formula_model, formula_pixels
+from support.colcon_workspace import REPOSITORY
+from support.formula_model import formula_model, formula_pixels
 
 from yolov5_lifecycle.detection.nms import MAX_CANDIDATES, Selection, select
 
-EXPECTED = expected_nms()
+EXPECTED = json.loads((REPOSITORY / "test" / "data" / "nms.json").read_text())["models"]
+"""By size: the input shape, how the last layer is changed, and cases of settings and detections."""
 
 
 def selection_of(settings: dict[str, Any]) -> Selection:

@@ -33,10 +33,6 @@ def collected(folder: Path, *counts: int, names: tuple[str, ...] = CLASS_NAMES) 
     return folder
 
 
-def sessions(folder: Path) -> list[str]:
-    return list(dict.fromkeys(kept.session for kept in images_of(folder)))
-
-
 def run(*words: object) -> int:
     return main([str(word) for word in words])
 
@@ -44,7 +40,7 @@ def run(*words: object) -> int:
 def test_what_is_there_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = collected(tmp_path / "robot", 2, 1)
     assert run("show", folder) == 0
-    first, second = sessions(folder)
+    first, second = dict.fromkeys(kept.session for kept in images_of(folder))
     assert capsys.readouterr().out.splitlines() == [
         "images         3",
         f"session        2  {first}",
@@ -117,18 +113,6 @@ def test_folders_whose_class_numbers_differ_do_not_become_one(tmp_path: Path) ->
     collected(tmp_path / "robot_2", 1, names=CLASS_NAMES[::-1])
     assert not copied_into_one(tmp_path)
     assert not (tmp_path / "all").exists()
-
-
-@pytest.mark.parametrize("action", ["show", "split"])
-@pytest.mark.parametrize("linked", ["images", "labels", "frames", "images/{session}"])
-def test_a_link_in_the_folder_is_refused_and_nothing_is_written(
-    action: str, linked: str, tmp_path: Path, refused: Refused
-) -> None:
-    folder = collected(tmp_path / "robot", 1, 1)
-    inner = folder / linked.format(session=sessions(folder)[0])
-    inner.rename(tmp_path / "outside")
-    inner.symlink_to(tmp_path / "outside")
-    assert "expected a file or folder, found a link; replace it by a copy" in refused(main, action, folder)
 
 
 def test_records_that_are_too_large_together_are_not_read(

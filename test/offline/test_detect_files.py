@@ -18,9 +18,10 @@ from support.compressed_files import claiming_too_much
 from support.detected_offline import SET_MODEL, published, run
 from support.detector_process import Sighting
 from support.recorded_scene import COUNT, SIZE_HW, images, shown, video
+from support.reference_masks import whole_mask
 from support.refusals import Refused
 from support.segmented_offline import SET_MODEL as SET_SEGMENTING
-from support.segmented_offline import segment, segmented, whole_masks
+from support.segmented_offline import segment, segmented
 
 from yolov5_lifecycle.images.image import ColourImage
 from yolov5_lifecycle.process.standard_streams import EXIT_NOBODY_READS
@@ -99,7 +100,9 @@ def test_lines_have_the_whole_mask_of_each_object(tmp_path: Path) -> None:
     output = tmp_path / "found.jsonl"
     assert segment([str(images(tmp_path / "shots")), "--output", str(output), *SET_SEGMENTING]) == 0
     for number, line in enumerate(output.read_text().splitlines()):
-        expected = whole_masks(segmented(ColourImage(shown(number)[0], "rgb")))
+        found = segmented(ColourImage(shown(number)[0], "rgb"))
+        assert found.masks is not None
+        expected = np.stack([whole_mask(found.masks, *one) for one in enumerate(found.boxes_xyxy)])
         assert expected.sum(axis=0).max() > 1  # they overlap
         for one, mask in zip(json.loads(line)["detections"], expected, strict=True):
             assert list(one) == ["class_name", "score", "box_xyxy", "mask"]

@@ -8,7 +8,6 @@ import pytest
 from support.detected_offline import SET_MODEL, run
 
 from yolov5_lifecycle.offline.detector_options import wanted_settings
-from yolov5_lifecycle.settings.parameter_file import ParameterFileError
 from yolov5_lifecycle.settings.schema import SettingsError
 
 CAMERAS = """\
@@ -82,11 +81,6 @@ def test_every_value_that_is_refused_is_named_at_once(parameters: Path) -> None:
     with pytest.raises(SettingsError) as refused:
         wanted_settings(parameters, ["lazy=true"], "/yolov5")  # and no camera
     assert [problem.setting for problem in refused.value.problems] == ["lazy", "front.classes"]
-
-
-def test_an_assignment_that_cannot_be_read_is_named() -> None:
-    with pytest.raises(ParameterFileError, match=r"'classes=\['"):
-        wanted_settings(None, ["device=cpu", "classes=["], "/yolov5")
 
 
 def test_a_recording_is_detected_with_the_settings_of_its_camera(

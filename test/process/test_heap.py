@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import mmap
-import subprocess
-import sys
+
+from support.started import printed_by
 
 PROGRAM = """
 import resource
@@ -43,7 +43,6 @@ PAGES_OF_AN_IMAGE = 1280 * 720 * 3 // mmap.PAGESIZE
 
 
 def test_images_get_no_new_pages_and_trimming_releases_them() -> None:
-    told = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True, text=True).stdout
-    faults_of_a_round, given_back = map(int, told.split())
+    faults_of_a_round, given_back = map(int, printed_by(PROGRAM).split())
     assert faults_of_a_round < 0.1 * PAGES_OF_AN_IMAGE
     assert given_back > 2.5 * PAGES_OF_AN_IMAGE

@@ -99,6 +99,7 @@ INFERENCE_LEFT = "inference has still not finished: its thread is abandoned"
     ("script", "come_to", "ending", "left"),
     [
         pytest.param("work", be_active, signal.SIGHUP, [], id="active"),
+        pytest.param("work", be_active, signal.SIGINT, [], id="Ctrl-C", marks=pytest.mark.end_to_end),
         pytest.param("reload_slowly", reload, signal.SIGTERM, [LOADER_LEFT], id="reloading"),
         pytest.param("hang", hang, signal.SIGTERM, [INFERENCE_LEFT], id="hanging"),
     ],

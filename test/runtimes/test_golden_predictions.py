@@ -10,6 +10,7 @@ import onnx
 import pytest
 import torch
 from numpy.typing import NDArray
+from support.checkpoint_builder import assert_same
 from support.formula_model import (
     EVERY_FAMILY,
     EVERY_SIZE,
@@ -73,9 +74,7 @@ def test_a_file_predicts_what_the_official_network_predicts_fused_or_not_and_con
 
     write_safetensors(model, tmp_path / "converted.safetensors")
     again = read_safetensors((tmp_path / "converted.safetensors").read_bytes())
-    assert (again.architecture, again.class_names) == (model.architecture, model.class_names)
-    assert again.state_dict.keys() == model.state_dict.keys()
-    assert all(torch.equal(again.state_dict[key], tensor) for key, tensor in model.state_dict.items())
+    assert_same(again, model)
 
 
 @pytest.mark.long

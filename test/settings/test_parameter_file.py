@@ -140,6 +140,7 @@ def test_an_assignment_has_the_type_of_its_setting(assignment: str, value: tuple
         pytest.param("classes=*dog", "an alias", id="alias"),
         pytest.param("classes= #", "found nothing", id="comment"),
         pytest.param("classes", "expected NAME=VALUE", id="no value"),
+        pytest.param("classes=[", r"^'classes=\['", id="cut off"),
     ],
 )
 def test_an_assignment_that_ros_would_not_read_is_refused(assignment: str, told: str) -> None:

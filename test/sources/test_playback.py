@@ -118,24 +118,21 @@ def failing() -> Iterator[SourceFrame]:
     raise SourceError("unplugged")
 
 
-@pytest.mark.parametrize(
-    ("show", "told"),
-    [
-        pytest.param(lambda _: None, "unplugged", id="source"),
-        pytest.param(lambda _: 1 / 0, "Traceback.*ZeroDivisionError.*", id="anything else"),
-    ],
-)
-def test_a_failure_ends_the_playback_and_is_reported(show: Callable[[SourceFrame], None], told: str) -> None:
-    with playback(lambda: ImageSource(failing(), 1000.0), show) as playing:
-        wait_for_end(playing)
-    assert re.fullmatch(told, playing.failure, re.DOTALL)
-
-
 def absent() -> ImageSource:
     raise SourceError("no such file")
 
 
-def test_a_source_that_cannot_be_opened_ends_the_playback_and_is_reported() -> None:
-    with playback(absent) as playing:
+@pytest.mark.parametrize(
+    ("open_source", "show", "told"),
+    [
+        pytest.param(absent, lambda _: None, "no such file", id="no source"),
+        pytest.param(lambda: ImageSource(failing(), 9e3), lambda _: None, "unplugged", id="source"),
+        pytest.param(one_frame, lambda _: 1 / 0, "Traceback.*ZeroDivisionError.*", id="anything else"),
+    ],
+)
+def test_a_failure_ends_the_playback_and_is_reported(
+    open_source: Callable[[], ImageSource], show: Callable[[SourceFrame], None], told: str
+) -> None:
+    with playback(open_source, show) as playing:
         wait_for_end(playing)
-    assert playing.failure == "no such file"
+    assert re.fullmatch(told, playing.failure, re.DOTALL)

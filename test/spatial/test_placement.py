@@ -230,17 +230,12 @@ boxes = st.tuples(*[st.floats(-50, 400, width=32)] * 4).map(
 several_boxes = st.lists(boxes, min_size=1, max_size=5).map(lambda rows: np.array(rows, np.float32))
 
 
-def millimetres(seed: int) -> NDArray[np.uint16]:
-    """A scene (H, W) with a hole in a third of the pixels."""
-    rng = np.random.default_rng(seed)
-    scene = random_depth_scene(rng, SHAPES[seed % len(SHAPES)], Difficulty(hole_share=0.3))
-    return np.rint(scene.depth_m * 1000).astype(np.uint16)
-
-
 @given(seed=st.integers(0, 5), boxes_xyxy=several_boxes)
 @settings(max_examples=12)
 def test_a_box_is_placed_alike_alone_and_among_others(seed: int, boxes_xyxy: Boxes) -> None:
-    depth = DepthImage(millimetres(seed), 0.001)
+    with_holes = Difficulty(hole_share=0.3)
+    scene = random_depth_scene(np.random.default_rng(seed), SHAPES[seed % len(SHAPES)], with_holes)
+    depth = DepthImage(np.rint(scene.depth_m * 1000).astype(np.uint16), 0.001)
     alone = [place_in(box[None], depth, CAMERA) for box in boxes_xyxy]
     assert place_in(boxes_xyxy, depth, CAMERA) == tuple(found for (found,) in alone)
 

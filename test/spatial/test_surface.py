@@ -16,6 +16,7 @@ from yolov5_lifecycle.spatial.box_samples import (
     IS_AROUND,
     RING,
     SIDE,
+    BoxSamples,
     around,
     inside,
     is_on_plane_beyond,
@@ -132,14 +133,13 @@ FLOOR: Depth = 120 / (ROWS + 20.0)
 WALL: Depth = 300 / (COLUMNS + 60.0)
 
 
-def background(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
-    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box, CAMERA)
-    return np.asarray(is_on_plane_beyond(samples)[0])
+def samples_of(depth_m: Depth) -> BoxSamples:
+    """Those of FLOOR_BOX."""
+    return sampled(DepthImage(depth_m.astype(np.float32), 1.0), FLOOR_BOX, CAMERA)
 
 
-def measured(depth_m: Depth, box: NDArray[np.float32] = FLOOR_BOX) -> NDArray[np.bool_]:
-    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), box, CAMERA)
-    return np.asarray(~np.isnan(samples.metres[0]))
+def background(depth_m: Depth) -> NDArray[np.bool_]:
+    return np.asarray(is_on_plane_beyond(samples_of(depth_m))[0])
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def test_objects_as_far_away_as_this_one_are_not_background(is_across: bool) -> 
 def test_what_is_not_measured_is_not_background(value: float) -> None:
     is_hole = (ROWS + COLUMNS) % 3 == 0
     depth_m = np.where(is_hole, value, FLOOR)
-    np.testing.assert_array_equal(background(depth_m), measured(depth_m))
+    np.testing.assert_array_equal(background(depth_m), ~np.isnan(samples_of(depth_m).metres[0]))
 
 
 def test_random_depth_has_no_background_plane() -> None:
@@ -209,7 +209,7 @@ def test_random_depth_has_no_background_plane() -> None:
 
 def beyond(depth_m: Depth, is_free: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Which samples (GRID, GRID) of FLOOR_BOX are on a surface that goes on, if no plane is known."""
-    samples = sampled(DepthImage(depth_m.astype(np.float32), 1.0), FLOOR_BOX, CAMERA)
+    samples = samples_of(depth_m)
     free = ~np.isnan(samples.metres) if is_free is None else is_free[None]
     return np.asarray(is_on_surface_beyond(samples, free)[0])
 

@@ -21,7 +21,7 @@ SIZE_HW = (48, 64)
 class CameraClient:
     """Publishes images of the camera `name`, "" for the only one of a node, as JPEG if `is_compressed`.
 
-    Receives its detections if `is_listening`.
+    Receives its detections.
     """
 
     def __init__(
@@ -30,7 +30,6 @@ class CameraClient:
         name: str = "",
         *,
         size_hw: tuple[int, int] = SIZE_HW,
-        is_listening: bool = True,
         is_compressed: bool = False,
     ) -> None:
         self.served = served
@@ -44,18 +43,15 @@ class CameraClient:
         if name:
             topic, kind = ("image_raw/compressed", CompressedImage) if is_compressed else ("image_raw", Image)
             self.images = served.client.create_publisher(kind, self.topic(topic), 1)
+            served.client.create_subscription(
+                Detection2DArray, self.topic("detections"), self.detections.append, 10
+            )
         else:
             self.images, self.detections = served.images, served.detections
-        if name and is_listening:
-            self.listen()
 
     def topic(self, name: str) -> str:
         """The full name of one of the camera's topics."""
         return "/".join(filter(None, ("/yolov5", self.name, name)))
-
-    def listen(self) -> None:
-        topic = self.topic("detections")
-        self.served.client.create_subscription(Detection2DArray, topic, self.detections.append, 10)
 
     def send(self, message: Image | None = None) -> Header:
         """Send an image; its header."""
@@ -122,13 +118,8 @@ class Viewer:
 
     def __init__(self, camera: CameraClient, topic: str = "image", kind: type = Image) -> None:
         self._camera = camera
-        self._client = camera.served.client
         self.received: list[Any] = []
-        name = camera.topic(topic)
-        self._subscription = self._client.create_subscription(kind, name, self.received.append, 10)
-
-    def leave(self) -> None:
-        self._client.destroy_subscription(self._subscription)
+        camera.served.client.create_subscription(kind, camera.topic(topic), self.received.append, 10)
 
     def begin(self) -> None:
         """Send images until one is answered, as the node may not have discovered the subscriber yet."""
@@ -154,8 +145,6 @@ class DepthClient(CameraClient):
         super().__init__(served, name, size_hw=size_hw)
         self.placed: list[Detection3DArray] = []
         self.depth_m = np.full(size_hw, wall_m, np.float32)
-        self.lens: dict[str, Any] = {}
-        """Other fields of its camera_info."""
         node, best_effort = served.client, QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.depth = node.create_publisher(Image, self.topic("depth/image_raw"), best_effort)
         self.info = node.create_publisher(CameraInfo, self.topic("depth/camera_info"), 2)
@@ -173,7 +162,7 @@ class DepthClient(CameraClient):
     def send_depth(self, *, with_info: bool = True) -> None:
         """Send a depth image and its camera_info with the stamp of the next image."""
         height, width = self.size_hw
-        info = camera_info_message(self.sent + 1, height=height, width=width, **self.lens)
+        info = camera_info_message(self.sent + 1, height=height, width=width)
         message = depth_message(self.depth_m, self.sent + 1)
         for sent in (info, message):
             sent.header.frame_id = f"{self.name}_optical"

@@ -14,6 +14,7 @@ from torch import nn
 
 from support.random_model import CLASS_NAMES, random_network
 from yolov5_lifecycle.models.architecture import Architecture, Layer
+from yolov5_lifecycle.models.model import Model
 from yolov5_lifecycle.models.network import Network
 
 SMALL = Architecture(
@@ -152,6 +153,15 @@ def in_one_storage(model: Any, *, spare: int = 0) -> Any:
         view = part.view(tensor.shape)
         group[key] = nn.Parameter(view) if isinstance(group[key], nn.Parameter) else view
     return model
+
+
+def assert_same(found: Model, expected: Model, what: str = "") -> None:
+    """Fail, and say `what`, unless both are the same to the bit."""
+    assert (found.architecture, found.class_names) == (expected.architecture, expected.class_names), what
+    assert found.state_dict.keys() == expected.state_dict.keys(), what
+    for key, tensor in expected.state_dict.items():
+        assert found.state_dict[key].dtype is tensor.dtype, (what, key)
+        assert torch.equal(found.state_dict[key], tensor), (what, key)
 
 
 def modules_of(module: Any) -> Iterator[Any]:

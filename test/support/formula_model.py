@@ -76,12 +76,6 @@ def expected_predictions(name: str) -> ExpectedPredictions:
     return ExpectedPredictions(tuple(found["input_shape"]), found["number_of_rows"], tolerance, numbers)
 
 
-def expected_nms() -> Mapping[str, Any]:
-    """By size: the input shape, how the last layer is changed, and cases of settings and detections."""
-    models: Mapping[str, Any] = _read("nms.json")["models"]
-    return models
-
-
 def formula_model(name: str) -> Model:
     """The model of a size or a family, with the weights of the formula."""
     return model_with(SIZES[name] if name in SIZES else family_architecture(name), _formula_tensor)

@@ -76,11 +76,6 @@ def array(model: Any, name: str = _WEIGHT) -> Any:
     return next(array for array in model.graph.initializer if array.name == name)
 
 
-def attribute(model: Any, name: str) -> Any:
-    """Of the convolution."""
-    return next(each for node in model.graph.node for each in node.attribute if each.name == name)
-
-
 def add(*nodes: Any, **arrays: Any) -> Callable[[Any], None]:
     """Operations after the others, of which nothing is an output."""
 
@@ -168,10 +163,6 @@ def many_convolutions() -> Callable[[], bytes]:
     return changed(add(*nodes, k=kernel, zero=np.zeros((1, 64, 1, 1), np.float32), wide=[1, 64, 64, 96]))
 
 
-def dimensions(*sizes: int) -> Callable[[], bytes]:
-    return changed(lambda model: array(model).ClearField("dims") or array(model).dims.extend(sizes))
-
-
 def metadata(**entries: str) -> Callable[[], bytes]:
     return lambda: small_export(metadata={"names": "['a', 'b', 'c']", **entries})
 
@@ -225,14 +216,21 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "no opset": (changed(lambda model: model.ClearField("opset_import")), "no version of its operations"),
     "weights in another file": (changed(other_file), "lie in another file"),
     "a constant in another file": (changed(other_file_of_a_constant), "lie in another file"),
-    "an array of 16 Ti numbers": (dimensions(1 << 22, 1 << 22), "of shape [4194304, 4194304] and kind 1 has"),
+    "an array of 16 Ti numbers": (
+        changed(lambda model: array(model).dims.__setitem__(slice(2), [1 << 22] * 2)),
+        "of shape [4194304, 4194304, ",
+    ),
+    "an array of unknown numbers": (
+        changed(lambda model: setattr(array(model), "data_type", 99)),
+        "and kind 99 has",
+    ),
     "an array of a million dimensions": (
         lambda: glued(graph_without_weights() + field(5, field(1, b"\1" * 1_000_000) + b"\x10\1")),
         "has 1,000,000 dimensions",
     ),
     "a hundred thousand dimensions more": (unsqueezed, "would have 100,004 dimensions"),
     "strides of 0": (
-        changed(lambda model: attribute(model, "strides").ints.__setitem__(0, 0)),
+        changed(lambda model: model.graph.node[0].attribute[0].ints.__setitem__(0, 0)),
         "strides that are not positive",
     ),
     "a billion elements out of one": (

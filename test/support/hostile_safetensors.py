@@ -99,10 +99,6 @@ def _described(change: Callable[[dict[str, Any]], object]) -> Callable[[], bytes
 CONVOLUTION, VARIANCES, ANCHORS = "model.0.conv.weight", "model.0.bn.running_var", "model.8.anchors"
 
 
-def first_tensor(**changes: object) -> Callable[[], bytes]:
-    return header(lambda entries: entries[CONVOLUTION].update(changes))
-
-
 def number(key: str, value: float) -> Callable[[], bytes]:
     """A valid file with another number at the beginning of the tensor `key`."""
 
@@ -157,7 +153,10 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "overlapping tensors": (header(overlapping), "damaged, or cut short"),
     "tensor of no layer": (another_tensor(torch.float32), "'\\x1b[2J' belongs to no layer"),
     "tensor that is missing": (another_tensor(torch.float32, removed=CONVOLUTION), "conv.weight is missing"),
-    "tensor of 16 Ti numbers": (first_tensor(shape=[1 << 22, 1 << 22]), "damaged, or cut short"),
+    "tensor of 16 Ti numbers": (
+        header(lambda entries: entries[CONVOLUTION].update(shape=[1 << 22, 1 << 22])),
+        "damaged, or cut short",
+    ),
     "tensor of unknown numbers": (
         another_tensor(torch.float8_e4m3fn, key=CONVOLUTION),
         "holds torch.float8_e4m3fn",

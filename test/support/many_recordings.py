@@ -64,7 +64,3 @@ def found_objects(recording: Path) -> Counter[str]:
 def rows(output: Path) -> dict[str, dict[str, Any]]:
     """The rows of the summary by recording."""
     return {row["recording"]: row for row in json.loads((output / "summary.json").read_text())["results"]}
-
-
-def states(output: Path) -> dict[str, str]:
-    return {name: row["state"] for name, row in rows(output).items()}

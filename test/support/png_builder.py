@@ -21,8 +21,3 @@ def image(height: int, width: int, *, before: bytes = b"", after: bytes = b"") -
     """A whole black file, with more chunks before or after the data of its pixels."""
     pixels = chunk(b"IDAT", zlib.compress(bytes(height * (1 + 3 * width))))
     return SIGNATURE + header(height, width) + before + pixels + after + chunk(b"IEND")
-
-
-def text_bomb(texts: int, mb: int = 7) -> bytes:
-    """Chunks of compressed texts, a thousandth of the size that they have for libpng."""
-    return chunk(b"zTXt", b"k\0\0" + zlib.compress(bytes(mb * 1_000_000))) * texts

@@ -7,11 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from support.random_model import random_model
-from support.reference_masks import whole_mask
 from support.small_families import SMALL_FAMILIES
 from yolov5_lifecycle.detection.class_filter import selection_of
 from yolov5_lifecycle.detection.detections import Detections
@@ -44,9 +40,3 @@ def segmented(image: ColourImage) -> Detections:
     """What the model finds in `image`, with masks."""
     detector = segmenting_detector()
     return detector.detect(image, replace(selection_of(SETTINGS, detector.class_names), with_masks=True))
-
-
-def whole_masks(found: Detections) -> NDArray[np.bool_]:
-    """(n, H, W): the mask of each detection in the whole image."""
-    assert found.masks is not None
-    return np.stack([whole_mask(found.masks, row, box) for row, box in enumerate(found.boxes_xyxy)])

@@ -107,10 +107,6 @@ def ensemble() -> bytes:
     )
 
 
-def state_dict() -> dict[str, torch.Tensor]:
-    return nn.Conv2d(3, 4, 1).state_dict()
-
-
 MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "list": (lambda: saved([1, 2]), "expected a dict with the entry 'model', found [1, 2]"),
     "dict of something else": (
@@ -127,7 +123,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     ),
     "ensemble": (ensemble, "it is an Ensemble of 2 models, and one model is expected: use the .pt of one"),
     "dict in place of the model": (lambda: saved({"model": {"a": 1}}), "expected a YOLOv5 model under"),
-    "bare state dict": (lambda: saved(state_dict()), "a bare state dict"),
+    "bare state dict": (lambda: saved(nn.Conv2d(3, 4, 1).state_dict()), "a bare state dict"),
     "ultralytics model": (
         lambda: saved({"model": foreign("ultralytics.nn.tasks.DetectionModel")}),
         "belongs to the ultralytics package",
@@ -160,7 +156,7 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "windows that descend": (row(4, -1, 1, "SPP", [64, [9, 5]]), "has the arguments"),
     "expansion NaN": (row(2, -1, 3, "C3", [64, True, 1, NAN]), "has the arguments"),
     "attention that shares badly": (
-        changed(lambda model: model.yaml["backbone"].__setitem__(2, [-1, 1, "C3TR", [64, True, 1, 0.7]])),
+        row(2, -1, 1, "C3TR", [64, True, 1, 0.7]),
         "cannot be divided among 4 attention heads",
     ),
     "large anchors in pixels, which are not read": (

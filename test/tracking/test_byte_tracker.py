@@ -10,8 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from support.colcon_workspace import REPOSITORY
-from support.pages import blocks
 
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.settings.settings import Settings
@@ -85,19 +83,15 @@ def test_trackers_that_share_a_counter_share_no_id() -> None:
     assert given == [("1",), ("2",)] * 2
 
 
-def test_a_low_score_continues_a_track(following: Camera) -> None:
-    assert following.sees(one(100, LOW)) == ("1",)
+@pytest.mark.parametrize(("score", "expected"), [(LOW, "1"), (0.05, "")], ids=["low", "below low"])
+def test_a_low_score_continues_a_track(following: Camera, score: float, expected: str) -> None:
+    assert following.sees(one(100, score)) == (expected,)
     assert following.sees(one(100)) == ("1",)
 
 
-@pytest.mark.parametrize("score", [LOW, 0.05], ids=["low", "below low"])
-def test_a_low_score_begins_no_track(camera: Camera, score: float) -> None:
-    assert [camera.sees(one(100, score)) for _ in range(3)] == [("",)] * 3
+def test_a_low_score_begins_no_track(camera: Camera) -> None:
+    assert [camera.sees(one(100, LOW)) for _ in range(3)] == [("",)] * 3
     assert len(camera.tracker) == 0
-
-
-def test_a_score_below_the_low_threshold_continues_no_track(following: Camera) -> None:
-    assert following.sees(one(100, 0.05)) == ("",)
 
 
 def test_a_high_score_is_matched_before_a_low_one_that_fits_better(following: Camera) -> None:
@@ -267,8 +261,3 @@ def test_an_id_belongs_to_one_class_and_is_never_used_again(
                 assert restarts_before.setdefault(name, restarts) == restarts
                 known.add(name)
     assert sorted(map(int, known)) == list(range(1, len(known) + 1))
-
-
-def test_the_example_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    exec(blocks(REPOSITORY / "docs" / "tracking.md", "python")[0], {})
-    assert capsys.readouterr().out == "('',)\n('1',)\n('1',)\n"

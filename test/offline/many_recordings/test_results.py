@@ -180,9 +180,6 @@ def result(source: SourceRecording, tmp_path: Path) -> Path:
         pytest.param(lambda source, _: (source / "notes.txt").touch(), {}, True, id="notes beside it"),
         pytest.param(lambda source, _: (source / "drive_1.mcap").touch(), {}, False, id="another file"),
         pytest.param(lambda source, _: (source / "drive.mcap").unlink(), {}, False, id="file missing"),
-        pytest.param(
-            lambda source, _: (source / "drive.mcap").write_bytes(b"more images"), {}, False, id="content"
-        ),
         pytest.param(lambda source, _: os.utime(source / "drive.mcap", ns=(1, 1)), {}, False, id="time"),
         pytest.param(lambda _, result: (result / RECORD_NAME).unlink(), {}, False, id="no record"),
         pytest.param(lambda *_: None, {"iou_threshold": 0.4}, False, id="setting"),

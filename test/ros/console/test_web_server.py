@@ -203,6 +203,7 @@ def test_without_a_session_nothing_is_shown(guarded: ConsoleClient, cookie: str)
         assert refused_status(guarded, path, headers) == 401
     reply = guarded.request("GET", "/", headers=headers)
     assert (reply.status, reply.headers["location"]) == (303, "/login")
+    assert "<noscript>" in guarded.request("GET", "/login").body, "what a browser without scripts needs"
 
 
 def test_the_token_begins_a_session_whose_cookie_scripts_and_other_pages_do_not_get(
@@ -262,10 +263,6 @@ def test_without_the_token_there_are_neither_sessions_nor_metrics(guarded: Conso
     assert (login.status, login.headers.get("set-cookie")) == (401, None)
     metrics = guarded.request("GET", "/metrics", headers=headers)
     assert (metrics.status, metrics.headers["www-authenticate"]) == (401, "Bearer")
-
-
-def test_the_login_page_tells_a_browser_without_scripts_what_it_needs(guarded: ConsoleClient) -> None:
-    assert "<noscript>" in guarded.request("GET", "/login").body
 
 
 def test_for_viewing_only_nothing_is_changed() -> None:

@@ -13,11 +13,9 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 from support.camera_client import CameraClient, DepthClient
 from support.preparations import Preparations, prediction
-from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel
 from support.served_node import ServedNode, class_ids_of, image
 from vision_msgs.msg import Detection2DArray
 
-from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.ros.observer import Observer
 
 CAMERAS = ("front", "rear")
@@ -134,17 +132,6 @@ def test_failures_of_one_camera_end_the_detection_only_once_the_other_fails_as_w
     assert "failed frames in a row, the last: RuntimeError: the device is on fire" in active.status().message
 
 
-def test_only_the_camera_whose_outputs_have_a_subscriber_is_subscribed_to(served: ServedNode) -> None:
-    front = CameraClient(served, "front")
-    rear = CameraClient(served, "rear", is_listening=False)
-    served.bring_to("active")
-    front.detect()
-    assert rear.images.get_subscription_count() == 0
-    assert "no subscribers to ~/rear/detections or ~/rear/image" in served.statuses()["rear"].message
-    rear.listen()
-    rear.detect()
-
-
 @pytest.mark.parametrize("is_lazy", [True, False], ids=["while viewed", "once activated"])
 def test_a_camera_that_the_middleware_refuses_is_told_and_tried_again_while_the_other_goes_on(
     prepare: Preparations, ros_domain: int, is_lazy: bool
@@ -208,17 +195,6 @@ def test_a_camera_whose_topics_would_have_too_long_names_fails_configure_until_i
         assert served.node.trigger_configure() is TransitionCallbackReturn.SUCCESS
 
 
-def test_a_new_model_serves_all_cameras_and_is_warmed_up_for_the_size_of_each(
-    active: ServedNode, prepare: Preparations, cameras: list[CameraClient]
-) -> None:
-    cameras[1].size_hw = (48, 128)
-    cameras[1].detect()
-    assert active.set(image_size=320) == (True, "")
-    assert prepare.sizes_hw == [[USUAL_SOURCE_HW] * 2, [USUAL_SOURCE_HW, (48, 128)]]
-    prepare.running.run = lambda: prediction("dog", 0.9)
-    assert found_by(*cameras) == [["dog"], ["dog"]]
-
-
 def test_each_camera_places_its_tracks_in_its_own_frame_while_its_depth_is_on(prepare: Preparations) -> None:
     with active_with(prepare, "depth:=true", *TRACKING) as served:
         cameras = [
@@ -267,26 +243,3 @@ def test_each_camera_may_have_a_transport_and_a_reliability_of_its_own(prepare: 
         assert found_by(front, rear) == [["cat"], ["cat"]]
         served.wait_for(lambda: reliability(front) == "reliable", "that of the publisher")
         assert rear.values()["image reliability"] == "best_effort"
-
-
-def test_each_camera_has_masks_of_its_own_which_are_computed_for_it_alone_until_their_subscriber_leaves(
-    prepare: Preparations,
-) -> None:
-    model = SegmentingModel(prepare)
-    with active_with(prepare, *PARAMETERS) as served:
-        front, rear = (CameraClient(served, name, size_hw=SIZE_HW) for name in CAMERAS)
-        rear.detect()
-        masks = MasksSubscriber(front)
-        masks.begin()
-        masks.segment()  # the last of the images above
-        before = model.computed
-        assert class_ids_of(rear.see()) == ["cat", "dog"]
-        assert model.computed == before
-        masks.leave()
-
-        def is_detected_without_masks() -> bool:
-            before = model.computed
-            front.see()
-            return model.computed == before
-
-        served.wait_for(is_detected_without_masks, "the node to compute no masks")

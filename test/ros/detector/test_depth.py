@@ -16,7 +16,7 @@ from support.depth_scene import CAMERA, random_depth_scene
 from support.gate import Gate
 from support.lone_node import lone_node
 from support.preparations import Preparations, prediction
-from support.segmented_scene import PARAMETERS, SIZE_HW, SegmentingModel, rows
+from support.segmented_scene import PARAMETERS, SIZE_HW, SegmentingModel
 from support.served_node import ServedNode
 
 from yolov5_lifecycle.ros.detector.depth import DepthInput, PlacedImage
@@ -161,10 +161,16 @@ def test_the_lens_counts_unless_the_topic_says_that_its_images_are_rectified(
 ) -> None:
     with lone_node("yolov5", "-r", f"~/depth/image_raw:={topic}") as node:
         depth = DepthInput(node, slop_s=0.05)
+        fill(depth)
+        plain = placed(depth)
         depth.take_camera_info(
             camera_info_message(1.0, distortion_model="plumb_bob", d=[-0.3, 0.1, 0.0, 0.0])
         )
+        seen = placed(depth)
         assert depth.values()["depth lens"] == lens
+        assert plain is not None
+        assert seen is not None
+        assert (seen.placements == plain.placements) == (lens == "rectified")
 
 
 def test_a_detection_without_measurements_is_counted_alone(depth: DepthInput) -> None:
@@ -200,6 +206,9 @@ def test_what_was_received_before_is_forgotten(depth: DepthInput) -> None:
     depth.follow(is_needed=False)
     assert placed(depth) is None
     assert counted(depth)["unplaced: no depth image"] == 1
+    depth.take_image(depth_message(SCENE.depth_m, 1.0))
+    assert placed(depth) is None
+    assert counted(depth)["unplaced: no camera_info"] == 1
 
 
 # The node
@@ -233,50 +242,27 @@ def test_detections_are_placed_and_an_image_without_objects_has_an_empty_array(
     assert client.place().detections == []
 
 
-def test_detections_of_images_that_nobody_has_rectified_are_placed_through_the_lens(
-    client: DepthClient,
-) -> None:
-    begin(client)
-    (plain,) = client.place().detections
-    client.lens = {"distortion_model": "plumb_bob", "d": [-0.2, 0.0, 0.0, 0.0]}
-    client.send_depth()
-    client.served.wait_for(lambda: client.served.values()["depth lens"] == "plumb_bob", "the lens")
-    (seen,) = client.place().detections
-    assert seen.bbox.size.x > 1.05 * plain.bbox.size.x, "a barrel lens shows it smaller than it is"
-    client.lens = {"distortion_model": "division", "d": [0.1]}
-    client.send_depth()
-    client.served.wait_for(lambda: client.served.status().message.find("'division'") >= 0, "the refusal")
-
-
-def test_with_a_segmentation_model_what_is_nearer_beside_the_mask_is_not_the_object(
+def test_each_published_detection_is_placed_by_its_own_mask_although_something_beside_it_is_nearer(
     prepare: Preparations,
 ) -> None:
+    """First the tracker looks at a cat, too, that is not published."""
     model = SegmentingModel(prepare)
-    prepare.run = lambda: rows(0.9)
-    with ServedNode(prepare, parameters=[*PARAMETERS, "depth:=true"]) as served:
-        camera = DepthClient(served, wall_m=4.0, size_hw=SIZE_HW)
-        begin(camera)
-        camera.depth_m[32:80, 16:40] = 2
-        camera.depth_m[32:80, 40:64] = 1
-        (cat,) = camera.place().detections
-        assert cat.bbox.center.position.z == pytest.approx(2)
-        assert served.set(depth=False) == (True, "")
-        computed = model.computed
-        camera.see()
-        assert model.computed == computed, "nobody needs masks"
-
-
-def test_each_published_detection_is_placed_by_its_own_mask(prepare: Preparations) -> None:
-    """The tracker looks at a cat, too, that is not published."""
-    SegmentingModel(prepare)
     parameters = [*PARAMETERS, "depth:=true", "tracker:=bytetrack", "class_thresholds:=['cat: 0.95']"]
     with ServedNode(prepare, parameters=parameters) as served:
         camera = DepthClient(served, wall_m=4.0, size_hw=SIZE_HW)
         begin(camera)
         camera.depth_m[64:88, 32:112] = 3
-        camera.depth_m[64:88, 32:40] = 2
+        camera.depth_m[32:64, 40:64] = 1
+        camera.depth_m[32:88, 16:40] = 2
         (dog,) = camera.place().detections
         assert dog.bbox.center.position.z == pytest.approx(3)
+        assert served.set(class_thresholds=[]) == (True, "")
+        cat, _ = camera.place().detections
+        assert cat.bbox.center.position.z == pytest.approx(2)
+        assert served.set(depth=False) == (True, "")
+        computed = model.computed
+        camera.see()
+        assert model.computed == computed, "nobody needs masks"
 
 
 def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
@@ -302,19 +288,6 @@ def test_a_slow_model_places_detections_with_the_depth_image_of_their_moment(
     gate.open()
     client.served.wait_for(lambda: client.placed[-1].header.stamp == shown.stamp, "its place")
     assert len(client.placed[-1].detections) == 1
-
-
-def test_an_image_without_camera_info_is_detected_and_counted_with_the_reason(client: DepthClient) -> None:
-    begin(client)
-
-    def is_counted() -> bool:
-        client.send_depth(with_info=False)
-        assert len(client.detect().detections) == 1
-        return int(client.served.values()["unplaced: no camera_info"]) >= 1
-
-    client.served.wait_for(is_counted, "the count")
-    assert client.served.values()["detections placed"] == "0"
-    assert client.placed == [], "an empty array would say that there is no object"
 
 
 def test_a_lazy_node_needs_depth_only_for_those_who_show_it(client: DepthClient) -> None:

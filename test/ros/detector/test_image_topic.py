@@ -61,15 +61,6 @@ def test_configure_refuses_topics_that_are_remapped_to_one_and_tells_wrong_qos_o
         assert "qos_overrides.x.y: this node has no such topic or policy." in status.message
 
 
-def test_an_idle_node_names_its_topic_and_the_one_that_was_meant(prepare: Preparations) -> None:
-    arguments = ["--ros-args", "-r", "~/image_raw:=/camera/image"]
-    with ServedNode(prepare, arguments=arguments) as served:
-        served.wait_for(lambda: bool(served.values()["other topics with images"]), "the other topic")
-        values = served.values()
-    assert (values["image topic"], values["image publishers"]) == ("/camera/image", "0")
-    assert values["other topics with images"] == "/yolov5/image_raw"
-
-
 # What is in the ROS graph
 
 

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Image
-from support.camera_client import CameraClient, DepthClient
+from support.camera_client import CameraClient, DepthClient, Viewer
 from support.preparations import Preparations
-from support.segmented_scene import PARAMETERS, SIZE_HW, MasksSubscriber, SegmentingModel, pixels
 from support.served_node import ServedNode, class_ids_of, messages_of
 
 from yolov5_lifecycle.detection.draw import draw_regions
@@ -132,24 +129,14 @@ def test_a_camera_may_have_its_own_regions_which_hold_in_space_as_well(prepare: 
         assert reason.startswith("front.regions: ['0,0'] must be polygons, but entry 1 has 1 points")
 
 
-def test_masks_number_what_counts_and_the_annotated_image_shows_the_regions(prepare: Preparations) -> None:
-    """The cat is in the upper left, the dog in the lower right."""
-    SegmentingModel(prepare)
-    with ServedNode(prepare, parameters=PARAMETERS) as served:
-        served.bring_to("active")
-        masks, drawn = MasksSubscriber(CameraClient(served, size_hw=SIZE_HW)), list[Image]()
-        served.client.create_subscription(Image, "/yolov5/image", drawn.append, QoSProfile(depth=10))
-        masks.begin()
-        assert served.set(ignore_regions=["0,0 0.5,0 0.5,1 0,1"]) == (True, "")
-        array, message = masks.segment()
-        assert class_ids_of(array) == ["dog"]
-        labels = np.zeros(SIZE_HW, np.uint16)
-        labels[64:88, 32:112] = 1  # also where the cat is in front of the dog
-        np.testing.assert_array_equal(pixels(message), labels)
-        served.wait_for(lambda: any(one.header == array.header for one in drawn), "the annotated image")
-        (seen,) = (image_of_message(one).pixels for one in drawn if one.header == array.header)
-        expected = np.full((*SIZE_HW, 3), 114, np.uint8)
-        ignored = Region.parse("0,0 0.5,0 0.5,1 0,1")
-        draw_regions(expected, BoxFilter(ignore_regions=(ignored,)), line_px=1)
-        np.testing.assert_array_equal(seen[:20], expected[:20])
-        assert (expected[:20] != 114).any()
+def test_the_annotated_image_shows_the_regions(active: ServedNode) -> None:
+    camera = CameraClient(active)
+    viewer = Viewer(camera)
+    viewer.begin()
+    ignored = "0,0 0.5,0 0.5,1 0,1"
+    assert active.set(ignore_regions=[ignored]) == (True, "")
+    seen = image_of_message(viewer.of(camera.see().header)).pixels
+    expected = np.full_like(seen, 114)
+    draw_regions(expected, BoxFilter(ignore_regions=(Region.parse(ignored),)), line_px=1)
+    np.testing.assert_array_equal(seen[:10], expected[:10])
+    assert (expected[:10] != 114).any()

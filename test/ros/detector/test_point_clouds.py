@@ -53,20 +53,12 @@ def clouds(camera: DepthClient) -> Viewer:
 
 def cloud_of(camera: DepthClient, clouds: Viewer) -> PointCloud2:
     """That of the next image with depth."""
-    before = len(clouds.received)
-
-    def has_come() -> bool:
-        camera.send_depth()
-        camera.detect()
-        return len(clouds.received) > before
-
-    camera.served.wait_for(has_come, "points")
     stamp = camera.sent + 1
 
     def is_newer() -> bool:
         camera.send_depth()
         camera.detect()
-        return int(clouds.received[-1].header.stamp.sec) >= stamp
+        return bool(clouds.received) and int(clouds.received[-1].header.stamp.sec) >= stamp
 
     camera.served.wait_for(is_newer, "points of the present scene")
     cloud: PointCloud2 = clouds.received[-1]

@@ -10,7 +10,6 @@ import pytest
 from support.colcon_workspace import REPOSITORY
 from support.detector_process import (
     NODE,
-    PARAMETERS,
     SEED,
     DetectorProcess,
     as_arguments,
@@ -107,19 +106,13 @@ def test_precision_int8_is_a_reload_that_needs_a_calibration_and_goes_on_finding
 @pytest.mark.long
 def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path: Path) -> None:
     absent = str(tmp_path / "absent.yaml")
-    aliases = tmp_path / "aliases.yaml"
-    lines = [f"l{level}: &l{level} [{f'*l{level - 1}, ' * 10}]" for level in range(1, 12)]
-    aliases.write_text(
-        "\n".join(["/**:", "  ros__parameters:", "    l0: &l0 [x]", *(f"    {line}" for line in lines)])
-    )
     arguments = parameter_file(tmp_path, "autostart: true\nclasses: [circle, 0.5]")
-    arguments += ["--params-file", absent, "--params-file", str(aliases)]
+    arguments += ["--params-file", absent]
     with detector_process(*arguments) as detector:
         reasons = [
             "line 4: a list must hold values of one type, this one has 'circle' and 0.5: "
             'write ["circle", "0.5"]',
             f"{absent}: No such file or directory",
-            "aliases.yaml: line 4: an alias (*l0)",
         ]
         for _ in range(2):
             told = detector.status()
@@ -130,12 +123,3 @@ def test_parameter_files_that_cannot_be_read_are_reported_at_the_start(tmp_path:
             assert not detector.transition("configure")
         assert "Failed to parse global arguments" not in detector.process.output
         assert detector.process.stop(signal.SIGTERM) == 0
-
-
-@pytest.mark.end_to_end
-def test_a_signal_ends_the_process_cleanly() -> None:
-    with detector_process(*as_arguments(PARAMETERS)) as detector:
-        detector.bring_to("active")
-        detector.look()
-        assert detector.process.stop(signal.SIGINT) == 0
-    assert "Traceback" not in detector.process.output

@@ -14,7 +14,6 @@ from support.served_node import ServedNode, class_ids_of, image
 from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.detection.detector import USUAL_SOURCE_HW
 from yolov5_lifecycle.detection.prepared_model import prepare_model
-from yolov5_lifecycle.ros.observer import PATIENCE_S
 
 
 def test_a_reload_swaps_the_model_and_frees_the_old_one(active: ServedNode, prepare: Preparations) -> None:
@@ -51,7 +50,7 @@ def test_a_reload_that_another_change_contradicts_is_refused_and_freed(
     prepare.gate.clear()
     prepare.class_names = ("star", "circle")
     reload = active.begin_set(weights="/other.pt")
-    assert prepare.begun.acquire(timeout=PATIENCE_S)
+    active.wait_for(lambda: len(prepare.sizes_hw) == 2, "the reload to begin")
     assert active.set(classes=["cat"]) == (True, "")
     prepare.gate.set()
     active.wait_for(reload.done, "the answer")

@@ -314,7 +314,8 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
         counter.finish(outcome)
     counter.receive()
     counts = {"depth images received": 9, "unplaced: other size": 12}
-    status = with_camera(counter=counter, depth=depth_input(*GIVEN, counts=counts))
+    topic = replace(TOPIC, similar=("/a", "/b"))
+    status = with_camera(topic, counter=counter, depth=depth_input(*GIVEN, counts=counts))
     values = status.of_node.values
     assert {values[f"frames {outcome.value}"] for outcome in Outcome} == {"1"}
     expected = {
@@ -324,6 +325,9 @@ def test_the_values_hold_every_count_and_the_configuration() -> None:
         "frames overtaken": "7",
         "latency median ms": "21.0",
         "configuration": Settings().digest(),
+        "image topic": "/yolov5/image_raw",
+        "image publishers": "1",
+        "other topics with images": "/a, /b",
         "tracker": "bytetrack",
         "depth topic": "/yolov5/depth/image_raw",
         "depth publishers": "1",
@@ -349,6 +353,11 @@ def test_the_statuses_of_the_node_and_of_its_cameras_tell_the_same_of_cameras_th
     (of_front,) = status.of_cameras
     assert status.of_node.message == f"front: {of_front.message}"
     assert status.of_node.level == of_front.level == DiagnosticStatus.WARN
+
+
+def test_an_idle_camera_names_its_own_topics() -> None:
+    (idle,) = with_camera(name="front", input=LAZY).of_cameras
+    assert "no subscribers to ~/front/detections or ~/front/image" in idle.message
 
 
 def test_a_reason_is_logged_when_it_begins_whatever_its_numbers(ros_domain: int) -> None:

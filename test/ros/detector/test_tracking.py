@@ -81,20 +81,18 @@ def test_a_reload_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
     assert tracking.values()["late images not tracked"] == "2", "those before the reload count"
 
 
-def test_activating_again_starts_afresh_and_reuses_no_id(tracking: ServedNode) -> None:
+def test_activating_again_or_another_transport_starts_afresh_and_reuses_no_id(
+    tracking: ServedNode,
+) -> None:
     ids_at(tracking, 1, 2)
     assert tracking.transition("deactivate")
     wait_until_unsubscribed(tracking)
     assert tracking.transition("activate")
     assert ids_at(tracking, 3, 4) == ["", "2"]
-
-
-def test_another_image_transport_starts_afresh(tracking: ServedNode) -> None:
-    ids_at(tracking, 1, 2)
     assert tracking.set(image_transport="compressed") == (True, "")
     wait_until_unsubscribed(tracking)
     assert tracking.set(image_transport="raw") == (True, "")
-    assert ids_at(tracking, 3, 4) == ["", "2"]
+    assert ids_at(tracking, 5, 6) == ["", "3"]
 
 
 def test_a_late_image_has_no_ids_and_a_stamp_that_goes_far_back_starts_afresh(tracking: ServedNode) -> None:

@@ -95,16 +95,6 @@ def test_an_override_is_set_changed_and_deleted_while_the_node_detects(active: S
     assert settings_of(active).for_camera("front") == Settings()
 
 
-def test_a_camera_and_its_overrides_are_added_and_removed_in_one_request(served: ServedNode) -> None:
-    values = {"side.max_rate": 1, "side.classes": [], "front.classes": [0, 1]}
-    assert served.set(classes=["dog"], cameras=["front", "side"], **values) == (True, "")
-    side = settings_of(served).for_camera("side")
-    assert (side.max_rate, side.classes) == (1.0, ())
-    assert [served.get(name) for name in values] == [1.0, [], ["0", "1"]]
-    assert served.set(classes=[], cameras=[], **dict.fromkeys(values)) == (True, "")
-    assert settings_of(served) == Settings()
-
-
 # Reading
 
 
@@ -120,15 +110,20 @@ def test_an_override_is_described_like_its_setting(served: ServedNode) -> None:
             assert getattr(of_camera, field) == getattr(plain, field)
 
 
-def test_every_override_of_the_most_cameras_may_be_set_and_read_in_one_request(served: ServedNode) -> None:
+def test_every_override_of_the_most_cameras_may_be_set_read_and_deleted_at_once(
+    served: ServedNode,
+) -> None:
     cameras = [f"camera{number}" for number in range(MAX_CAMERAS)]
     overrides = {f"{camera}.{name}": value for camera in cameras for name, value in DEFAULTS.items()}
     assert not served.call("get_parameters", GetParameters.Request(names=["camera0.lazy"])).values
-    assert served.set(**{"cameras": cameras, **overrides}) == (True, "")
+    assert served.set(**{"cameras": cameras, **overrides, "camera1.max_rate": 1}) == (True, "")
+    assert settings_of(served).for_camera("camera1").max_rate == 1.0
     listed = sorted(names(served))
     assert len(listed) < MAX_ITEMS
     assert len(served.call("get_parameters", GetParameters.Request(names=listed)).values) == len(listed)
     assert len(described(served, *listed)) == len(listed)
+    assert served.set(cameras=[], **dict.fromkeys(overrides)) == (True, "")
+    assert settings_of(served) == Settings()
 
 
 def dump(served: ServedNode) -> dict[str, Any]:
