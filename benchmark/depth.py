@@ -26,6 +26,7 @@ from benchmark.report import Figures, Program, Row, row, timed
 from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.process.memory import prepare_heap
 from yolov5_lifecycle.ros.messages import point_cloud_message
 from yolov5_lifecycle.spatial.camera_model import Intrinsics
 from yolov5_lifecycle.spatial.depth_image import DepthImage
@@ -235,4 +236,5 @@ parser = PROGRAM.parser
 
 
 if __name__ == "__main__":
+    prepare_heap()  # as the node does: for its costs
     sys.exit(PROGRAM.main())
