@@ -231,12 +231,12 @@ def drawn(image: ColourImage, box_filter: BoxFilter) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("level", [0, 114, 255])
 def test_the_outline_of_a_region_is_visible_on_any_ground_and_faint(level: int) -> None:
-    pixels = drawn(grey_image(level, SIDE, SIDE), BoxFilter(regions=(MIDDLE,))).astype(int)
+    pixels = drawn(grey_image(level, SIDE, 2 * SIDE), BoxFilter(regions=(MIDDLE,))).astype(int)
     rows, columns = np.nonzero((pixels != level).any(axis=2))
-    assert (rows.min(), columns.min()) == pytest.approx((SIDE / 4, SIDE / 4), abs=3)
-    assert (rows.max(), columns.max()) == pytest.approx((SIDE * 3 / 4, SIDE * 3 / 4), abs=3)
+    assert (rows.min(), columns.min()) == pytest.approx((SIDE / 4, SIDE / 2), abs=3)
+    assert (rows.max(), columns.max()) == pytest.approx((SIDE * 3 / 4, SIDE * 3 / 2), abs=3)
     assert 40 < np.abs(pixels - level).max() <= 128
-    inside = pixels[SIDE // 3 : 2 * SIDE // 3, SIDE // 3 : 2 * SIDE // 3]
+    inside = pixels[SIDE // 3 : 2 * SIDE // 3, 2 * SIDE // 3 : 4 * SIDE // 3]
     assert (inside == level).all()
 
 

@@ -136,6 +136,7 @@ def test_an_assignment_has_the_type_of_its_setting(assignment: str, value: tuple
     ("assignment", "told"),
     [
         pytest.param("classes=[dog, 2]", r'write \["dog", "2"\]', id="two types"),
+        pytest.param("classes=[1, 0.5]", r"write \[1\.0, 0\.5\]", id="two kinds of numbers"),
         pytest.param("classes={dog: 1}", "expected a value", id="mapping"),
         pytest.param("classes=*dog", "an alias", id="alias"),
         pytest.param("classes= #", "found nothing", id="comment"),

@@ -142,6 +142,7 @@ OF_FILE = {"weights": "mine.pt", "model_size": "n6", "image_size": 672}
             {"min_box_size": 9, "max_box_size": 0.5}, {"min_box_size": 9.0, "max_box_size": 0.5}, id="units"
         ),
         pytest.param({"min_box_size": 9.0}, {"min_box_size": 9.0}, id="no-maximum"),
+        pytest.param({"collect_dir": "~/kept"}, {"collect_dir": "~/kept"}, id="below-home"),
         pytest.param(OF_FILE, OF_FILE, id="stride-of-a-named-weights-file"),
         pytest.param({"weights_sha256": "AB" * 32}, {"weights_sha256": "ab" * 32}, id="digest-in-capitals"),
     ],

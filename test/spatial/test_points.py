@@ -126,6 +126,7 @@ def test_points_are_as_far_apart_as_was_asked(spacing_m: float, step_xy_px: tupl
     for places, step_px in zip((found.columns, found.rows), step_xy_px, strict=True):
         steps = np.diff(np.unique(places)).tolist()
         assert (np.median(steps), max(steps)) == (step_px, step_px)
+    assert len(found.rows) == len({*found.rows}) * len({*found.columns}), "one in each block"
 
 
 @pytest.mark.parametrize("spacing_m", [0, 0.02, 0.05])

@@ -192,6 +192,18 @@ FILES: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "30,000 nodes": (lambda: glued(field(1, b"") * 30_000), "has 30,000 operations"),
     "2,000 messages deep": (deep, "damaged, cut short or no ONNX model"),
     "a branch": (changed(branch), "has the operation 'If'"),
+    "a graph within a convolution": (
+        changed(lambda model: model.graph.node[0].attribute.add(name="body").g.node.add(op_type="Loop")),
+        "has the operation 'Conv'",
+    ),
+    "graphs within a convolution": (
+        changed(lambda model: model.graph.node[0].attribute.add(name="bodies").graphs.add(name="inner")),
+        "has the operation 'Conv'",
+    ),
+    "a sparse tensor in a convolution": (
+        changed(lambda model: model.graph.node[0].attribute.add(name="w").sparse_tensor.dims.append(1)),
+        "has the operation 'Conv'",
+    ),
     "a function": (
         changed(lambda model: model.functions.add(name="f", domain="own")),
         "it has functions",

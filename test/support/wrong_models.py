@@ -124,6 +124,10 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "ensemble": (ensemble, "it is an Ensemble of 2 models, and one model is expected: use the .pt of one"),
     "dict in place of the model": (lambda: saved({"model": {"a": 1}}), "expected a YOLOv5 model under"),
     "bare state dict": (lambda: saved(nn.Conv2d(3, 4, 1).state_dict()), "a bare state dict"),
+    "state dict in an entry": (
+        lambda: saved({"state_dict": nn.Conv2d(3, 4, 1).state_dict(), "epoch": 2}),
+        "a bare state dict",
+    ),
     "ultralytics model": (
         lambda: saved({"model": foreign("ultralytics.nn.tasks.DetectionModel")}),
         "belongs to the ultralytics package",
@@ -187,6 +191,8 @@ MODELS: Mapping[str, tuple[Callable[[], bytes], str]] = {
     "other strides": (setting("", stride=torch.tensor([8.0, 16])), "but its layers produce"),
     "no anchors": (changed(lambda model: vars(head(model))["_buffers"].clear()), "expected anchors"),
     "flat anchors": (anchors([[1.0, 2], [3, 4]]), "expected anchors (width, height) for 2 levels"),
+    "anchors of three levels": (anchors([[[1.0, 2], [3, 4]]] * 3), "for 2 levels, found the shape (3, 2, 2)"),
+    "anchors of three sides": (anchors([[[1.0, 2, 3]] * 2] * 2), "for 2 levels, found the shape (2, 2, 3)"),
     "three anchors for a head of two": (anchors([[[1.0, 2]] * 3] * 2), "model.8.m.0.weight has the shape"),
     "yaml missing": (setting("", yaml=None), "expected a dict as the model's yaml"),
     "yaml without a backbone": (yaml(backbone=None), "expected a list of layers as backbone"),
