@@ -1,4 +1,4 @@
-"""Detections in space become a Detection3DArray that belongs to the array of 2D; masks become an image."""
+"""Detections become messages: in the image, in space and as points; masks become an image."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ FOUND = Detections(
     scores=np.array([0.75, 0.5], np.float32),
     class_ids=np.array([0, 1], np.int64),
 )
+BOXES_CXCYWH = [(20, 30, 20, 20), (70, 70, 40, 20)]
 
 
 def detections_2d(count: int = 2) -> Detection2DArray:
@@ -43,6 +44,18 @@ def detections_2d(count: int = 2) -> Detection2DArray:
     for index, detection in enumerate(array.detections):
         detection.id = f"track {index}"
     return array
+
+
+def test_each_detection_has_its_class_its_score_and_its_box_in_pixels() -> None:
+    array = deserialize_message(serialize_message(detections_2d()), Detection2DArray)
+    for detection, *expected in zip(
+        array.detections, ("cup", "car"), FOUND.scores, BOXES_CXCYWH, strict=True
+    ):
+        (hypothesis,) = (each.hypothesis for each in detection.results)
+        centre, bbox = detection.bbox.center.position, detection.bbox
+        box_cxcywh = (centre.x, centre.y, bbox.size_x, bbox.size_y)
+        assert [hypothesis.class_id, hypothesis.score, box_cxcywh] == expected
+        assert detection.header == array.header
 
 
 def message(placements: list[Placement]) -> Detection3DArray:
