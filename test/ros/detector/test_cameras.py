@@ -243,3 +243,7 @@ def test_each_camera_may_have_a_transport_and_a_reliability_of_its_own(prepare: 
         assert found_by(front, rear) == [["cat"], ["cat"]]
         served.wait_for(lambda: reliability(front) == "reliable", "that of the publisher")
         assert rear.values()["image reliability"] == "best_effort"
+        assert served.transition("deactivate")
+        assert served.set(**{"front.image_transport": "compressed"}) == (True, "")
+        expected = "/yolov5/front/image_raw/compressed"
+        served.wait_for(lambda: front.values()["image topic"] == expected, "its topic while inactive")

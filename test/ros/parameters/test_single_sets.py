@@ -156,6 +156,8 @@ def test_configure_names_every_problem_with_its_remedy(
         first, *problems, last = configure(tried).split("\n")
     assert first == f"configure refused, {len(told)} problem(s):"
     assert [problem[2:][: len(beginning)] for problem, beginning in zip(problems, told, strict=True)] == told
+    removals = [problem for problem in problems if re.match(r"  \w+: .*ros2 param delete", problem)]
+    assert removals == [], "the node's own parameters stay"
     assert last == "  Correct values one by one, in any order: ros2 param set /yolov5 NAME VALUE"
 
 
