@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import re
@@ -21,6 +22,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a script leaves it t
 # On every machine frames run one at a time, unless a test asks for more. Beside other workers, more threads
 # for one network only wait for each other. Child processes inherit it.
 os.environ["OMP_NUM_THREADS"] = "1"
+# Memory of 1 MiB or more goes back to the system once a test frees it. Otherwise glibc raises the threshold
+# (M_MMAP_THRESHOLD) with each larger array, up to 32 MiB, and keeps what is freed below it.
+ctypes.CDLL(None).mallopt(-3, 1 << 20)
 
 import pytest
 from hypothesis import HealthCheck, settings

@@ -126,6 +126,7 @@ def count_by_thop(model: Any) -> None:
         pytest.param(lambda model: setattr(layers_of(model)["0"], "training", True), id="training mode"),
         pytest.param(lambda model: vars(layers_of(model)["6"]).update(f=[-1, -4]), id="wiring counted back"),
         pytest.param(lambda model: vars(head(model)).update(inplace=False), id="head not in place"),
+        pytest.param(lambda model: model.yaml["backbone"][1][3].append("None"), id="no padding of its own"),
         pytest.param(synchronize, id="synchronized normalisation"),
         pytest.param(count_by_thop, id="counted by thop"),
         pytest.param(
@@ -337,8 +338,8 @@ def test_a_model_saved_with_more_than_its_weights_is_refused_with_the_remedy(
 def test_scalars_of_numpy_are_numbers_and_texts(protocol: int) -> None:
     model = official_model(names={np.int64(index): np.str_(name) for index, name in enumerate(CLASS_NAMES)})
     head(model).nc, model.yaml["nc"], model.yaml["depth_multiple"] = (
-        np.uint16(3),
         np.int8(3),
+        np.uint16(3),
         np.float64(0.33),
     )
     found = read_checkpoint(saved(stripped(model), protocol))

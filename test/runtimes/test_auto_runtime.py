@@ -15,14 +15,13 @@ from support.random_model import TINY, random_model
 
 from yolov5_lifecycle.atomic_file import FOLDER_PREFIX, temporary_folder
 from yolov5_lifecycle.runtimes import registry
-from yolov5_lifecycle.runtimes.cache import MAX_BYTES, cache_folder
 from yolov5_lifecycle.runtimes.registry import (
     REQUIREMENTS,
     installed_build,
     installed_runtimes,
     load_runtime,
 )
-from yolov5_lifecycle.runtimes.speed import Choice, choose_runtime
+from yolov5_lifecycle.runtimes.runtime_choice import MAX_CACHE_BYTES, Choice, cache_folder, choose_runtime
 from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
 INSTALLED = installed_runtimes()
@@ -88,7 +87,7 @@ def test_what_was_measured_is_remembered_for_the_size_of_frame(tmp_path: Path) -
     "content",
     [
         pytest.param(b'{"torch": 1', id="cut off"),
-        pytest.param(b'{"torch": 1.0}' + b" " * MAX_BYTES, id="too large"),
+        pytest.param(b'{"torch": 1.0}' + b" " * MAX_CACHE_BYTES, id="too large"),
         pytest.param(b"[1.0]", id="a list"),
         pytest.param(b"{}", id="no runtime"),
         pytest.param(b'{"torch": 9.0, "tosch": 1.0}', id="a runtime unknown"),

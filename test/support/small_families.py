@@ -40,7 +40,7 @@ SMALL_FAMILIES: Mapping[str, Architecture] = {
         activation="ReLU",
     ),
     "transformer": _with(
-        {2: _layer("C3TR", 64, repeats=6), 4: _layer("C3SPP", 64, (3, 5)), 7: _layer("C3x", 64)},
+        {2: _layer("C3TR", 64, repeats=6), 4: _layer("C3SPP", 64, (5,)), 7: _layer("C3x", 64)},
         activation="Hardswish",
     ),
     "convolutions": _with(
@@ -68,7 +68,7 @@ RESIZED = dataclasses.replace(
         _layer("Bottleneck", 64, repeats=6),
         _layer("Conv", 64, 3, 2),
         _layer("SPPF", 64, 5),
-        _layer("DWConvTranspose2d", 64, 2, 2),
+        _layer("DWConvTranspose2d", 64, 4, 2, 1),
         Layer((-1, 4), 1, "Concat"),
         _layer("Contract", 2),
         _layer("Expand", 2),

@@ -19,7 +19,7 @@ from yolov5_lifecycle.quantization.calibration_file import find_quantization
 from yolov5_lifecycle.runtimes.networks_by_shape import KEPT_PER_CAMERA, MIN_KEPT
 from yolov5_lifecycle.runtimes.quantization import Quantization
 from yolov5_lifecycle.runtimes.registry import load_export, load_runtime
-from yolov5_lifecycle.runtimes.speed import Choice, choose_runtime
+from yolov5_lifecycle.runtimes.runtime_choice import Choice, choose_runtime
 from yolov5_lifecycle.runtimes.torch_device import resolve_device
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, Settings

@@ -1,42 +1,24 @@
-"""Measured speed: of a network whole and in streams; the fastest installed runtime, which is cached."""
+"""Measured speed of networks: in each runtime, and whole beside in streams."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
-import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from operator import itemgetter
-from pathlib import Path
-from typing import TypeGuard, TypeVar
+from typing import TypeVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from yolov5_lifecycle.models.model import Model
-from yolov5_lifecycle.runtimes.cache import NO_PLACE, cache_folder, read_cache, write_cache
-from yolov5_lifecycle.runtimes.processor import processor
-from yolov5_lifecycle.runtimes.registry import (
-    COARSE,
-    COARSE_RUNTIME,
-    REQUIREMENTS,
-    installed_build,
-    installed_runtimes,
-    load_runtime,
-)
+from yolov5_lifecycle.runtimes.registry import load_runtime
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Runtime
-from yolov5_lifecycle.runtimes.torch_device import DeviceError, resolve_device, resolve_precision
+from yolov5_lifecycle.runtimes.torch_device import DeviceError
 
-# Next to one busy process, OpenVINO, up to 6 % faster alone, took 8 to 38 % longer than ONNX Runtime.
-_PATIENT_FIRST = ("onnxruntime", "openvino", "torch")
-_HARDLY_SLOWER = 1.15
 _ROUNDS = 9
 _WARM_UPS = 2
 _NOTHING_FOUND = 1.0  # as min_objectness: detections in a grey image must not affect the timing
@@ -45,78 +27,6 @@ _ENOUGH_S = 2.0  # large networks are measured in fewer rounds
 Key = TypeVar("Key")
 Run = Callable[[], object]
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A runtime and the reason for choosing it."""
-
-    runtime: str
-    reason: str
-
-
-def choose_runtime(
-    model: Model,
-    *,
-    device: str,
-    precision: str,
-    frame_hw: tuple[int, int],
-    folder: Path | None = None,
-    measure: Callable[..., dict[str, float]] | None = None,
-) -> Choice:
-    """The runtime for `auto`: torch on a GPU; on a CPU the fastest at input size `frame_hw` in fp32.
-
-    Results are cached in `folder` (default: the user's cache), so each combination of architecture, input
-    size, installed packages and CPU is measured once; a record that is missing or damaged is replaced. Raises
-    DeviceError.
-    """
-    if precision in COARSE:
-        return Choice(COARSE_RUNTIME, f"the only one for {precision}")
-    torch_device = resolve_device(device)
-    resolve_precision(precision, torch_device)
-    installed = installed_runtimes()
-    if torch_device.type != "cpu":
-        return Choice("torch", f"the only one for {torch_device.type}")
-    if installed == ["torch"]:
-        return Choice("torch", "the only one installed")
-    path = (folder or cache_folder()) / _key(model, installed, frame_hw)
-    if _are_figures(figures_ms := read_cache(path), installed):
-        return _fastest(figures_ms, f"cached in {path}")
-    figures_ms = (measure or measure_ms)(model, installed, precision=precision, frame_hw=frame_hw)
-    try:
-        write_cache(path, figures_ms)
-    except NO_PLACE as error:
-        remedy = (
-            "Give this user the right to write it, or set XDG_CACHE_HOME: else each start measures again."
-        )
-        _log.warning("Not cached in %s: %s. %s", path.parent, error, remedy)
-    return _fastest(figures_ms, "measured now")
-
-
-def _are_figures(found: object, installed: list[str]) -> TypeGuard[dict[str, float]]:
-    """Whether `found` is what `measure_ms` gives: milliseconds of runtimes, of which torch is always one."""
-    return (
-        isinstance(found, dict)
-        and "torch" in found
-        and found.keys() <= set(installed)
-        and all(isinstance(ms, float) and 0 <= ms < math.inf for ms in found.values())
-    )
-
-
-def _fastest(figures_ms: Mapping[str, float], origin: str) -> Choice:
-    """The runtime within 15 % of the fastest that degrades least next to busy processes."""
-    figures = ", ".join(f"{name} {ms:.1f} ms" for name, ms in sorted(figures_ms.items(), key=itemgetter(1)))
-    enough_ms = _HARDLY_SLOWER * min(figures_ms.values())
-    chosen = next(name for name in _PATIENT_FIRST if figures_ms.get(name, math.inf) <= enough_ms)
-    return Choice(chosen, f"{figures}; {origin}")
-
-
-def _key(model: Model, installed: list[str], frame_hw: tuple[int, int]) -> str:
-    """Cache key of everything that affects speed; the weight values do not."""
-    packages = sorted({"numpy", *(package for runtime in installed for package in REQUIREMENTS[runtime])})
-    builds = [installed_build(package) for package in packages]
-    circumstances = [repr(model.architecture), frame_hw, builds, processor(), torch.get_num_threads()]
-    return hashlib.sha256(json.dumps(circumstances).encode()).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -2,28 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Indices = NDArray[np.intp]
-
-
-def check_solver() -> None:
-    """Import scipy's solver of the assignment problem; scipy is optional.
-
-    Raises ValueError, with how to install it, when it is not installed.
-    """
-    try:
-        import scipy.optimize  # noqa: F401
-    except ImportError as error:
-        problem = str(error).partition("\n")[0]
-        raise ValueError(
-            f"The tracker 'bytetrack' needs scipy, which is not installed ({problem}). Install it with "
-            f"{sys.executable} -m pip install scipy, or use the tracker 'none'."
-        ) from None
 
 
 def iou_matrix(
@@ -56,7 +40,7 @@ def best_pairs(
 
     Only the given `rows` and `columns` take part, and only pairs of at least `threshold`, which is above 0.
     """
-    from scipy.optimize import linear_sum_assignment  # see check_solver
+    from scipy.optimize import linear_sum_assignment  # optional, see ByteTracker
 
     gated = similarity[np.ix_(rows, columns)]
     gated[gated < threshold] = 0

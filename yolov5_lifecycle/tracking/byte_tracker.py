@@ -17,8 +17,9 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.detector import Detector
 from yolov5_lifecycle.detection.nms import Selection, narrowed
 from yolov5_lifecycle.images.image import ColourImage
+from yolov5_lifecycle.process.missing_package import absence_of
 from yolov5_lifecycle.settings.settings import Settings
-from yolov5_lifecycle.tracking.assignment import Indices, best_pairs, check_solver, iou_matrix
+from yolov5_lifecycle.tracking.assignment import Indices, best_pairs, iou_matrix
 from yolov5_lifecycle.tracking.camera_motion import CameraMotion
 from yolov5_lifecycle.tracking.motion import (
     UNCONFIRMED,
@@ -52,11 +53,12 @@ class ByteTracker:
     """Tracks the objects of one camera.
 
     `ids` gives the number of each new track, above 0; trackers that share it never give the same one.
-    `counts` are continued. Raises ValueError when scipy is not installed.
+    `counts` are continued. Raises ValueError, with how to install it, when scipy is not installed.
     """
 
     def __init__(self, ids: Iterator[int], counts: StampCounts | None = None) -> None:
-        check_solver()
+        if absence := absence_of("scipy.optimize"):
+            raise ValueError(absence)
         self._ids = ids
         self._counts = counts or StampCounts()
         self._tracks = Tracks.none()
