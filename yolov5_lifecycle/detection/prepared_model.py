@@ -25,6 +25,10 @@ from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, Settings
 
 
+FileVersion = tuple[int, int, int, int]
+"""What tells a file from another that takes its place, and from itself once it is written again."""
+
+
 @dataclass(frozen=True)
 class PreparedModel:
     """A warmed-up detector with its settings and weights file."""
@@ -35,6 +39,8 @@ class PreparedModel:
     weights_sha256: str
     streams: InferenceStreams = field(default_factory=InferenceStreams)
     """For frames of different cameras at the same time; `detector` is for a frame without others."""
+    file_version: FileVersion | None = None
+    """Of the weights file when it was read; None if nobody looked."""
 
     @property
     def facts(self) -> dict[str, str]:
@@ -58,6 +64,10 @@ class PreparedModel:
     def serves(self, settings: Settings) -> bool:
         """Whether this model serves `settings` without a reload."""
         return not self.settings.differing(settings, Change.RELOAD)
+
+    def is_outdated(self) -> bool:
+        """Whether the weights file is no longer the one that was read: replaced, written again, or gone."""
+        return self.file_version is not None and _file_version(self.settings) != self.file_version
 
     @property
     def summary(self) -> str:
@@ -87,6 +97,7 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
 
     Raises ValueError (WeightsError, DeviceError) or OSError with a message for the user.
     """
+    version = _file_version(settings)  # before it is read: what is written meanwhile makes it outdated
     weights = load_weights(weights_path(settings), sha256=settings.weights_sha256)
     detector = load_detector(
         weights.content,
@@ -104,7 +115,16 @@ def prepare_model(settings: Settings, sizes_hw: Sequence[tuple[int, int]]) -> Pr
     except BaseException:  # its traceback keeps the detector alive
         detector.close()
         raise
-    return PreparedModel(settings, detector, weights.path, weights.sha256, streams)
+    return PreparedModel(settings, detector, weights.path, weights.sha256, streams, version)
+
+
+def _file_version(settings: Settings) -> FileVersion | None:
+    """Of the weights file that `settings` select; None if there is none."""
+    try:
+        status = weights_path(settings).stat()
+    except (OSError, ValueError):
+        return None
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _quantization(weights: WeightsFile, settings: Settings) -> Quantization | None:

@@ -36,7 +36,8 @@ class Settings(BaseModel):
         "",
         max_length=4096,
         description="Weights file (.pt, .safetensors or .onnx): a path, ~ or package://PACKAGE/PATH. "
-        "Empty: weights_dir/yolov5<model_size>.safetensors, else .pt.",
+        "Empty: weights_dir/yolov5<model_size>.safetensors, else .pt. Set again, a file that has changed is "
+        "loaded again.",
     )
     weights_dir: Annotated[str, Change.RELOAD] = Field(
         "~/.ros/yolov5", min_length=1, max_length=4096, description="Folder searched when weights is empty."

@@ -108,3 +108,31 @@ def test_a_bad_file_is_refused_by_activate_and_by_a_swap(real: ServedNode, good:
     assert real.set(weights_sha256=digest) == (True, "")
     assert real.get("weights") == str(good)
     assert real.detect().header.stamp.sec > 0
+
+
+def test_a_file_that_has_changed_is_loaded_when_its_path_is_set_again(real: ServedNode, good: Path) -> None:
+    real.bring_to("active")
+    before = real.values()["sha256"]
+    write_safetensors(random_model(1), good)
+    assert real.set(confidence_threshold=0.3) == (True, "")
+    assert real.values()["sha256"] == before, "nobody has asked for it"
+    assert real.set(weights=str(good)) == (True, "")
+    after = real.values()["sha256"]
+    assert after != before
+    real.wait_for_log("the model was replaced")
+    assert real.set(weights=str(good)) == (True, "")
+    good.write_bytes(b"")
+    assert str(good) in real.refusal(weights=str(good))
+    good.unlink()
+    assert "no such file" in real.refusal(weights=str(good))
+    assert real.values()["sha256"] == after
+    assert sum("the model was replaced" in said for said in real.log) == 1
+
+
+def test_a_reload_for_another_setting_tells_that_it_has_read_another_file(
+    real: ServedNode, good: Path
+) -> None:
+    real.bring_to("active")
+    write_safetensors(random_model(1), good)
+    assert real.set(image_size=128) == (True, "")
+    real.wait_for_log("the weights are no longer those that were loaded before")

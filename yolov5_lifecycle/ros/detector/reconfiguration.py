@@ -11,6 +11,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from yolov5_lifecycle.detection.prepared_model import PreparedModel
 from yolov5_lifecycle.ros.detector.managed_resources import ManagedResources
 from yolov5_lifecycle.ros.detector.session import REFUSALS, Preparation, Session
 from yolov5_lifecycle.ros.parameters.settings_parameters import Proposal, SettingsParameters, refused
@@ -75,7 +76,9 @@ class Reconfiguration:
         if proposal.problems:
             return refused(*proposal.problems)
         session = self.resources.session
-        if session is not None and proposal.needs_model:
+        if session is not None and (
+            proposal.needs_model or (proposal.names_weights and session.model.is_outdated())
+        ):
             return await self._reload(session, proposal)
         return self._commit(proposal, session.preparation if session is not None else None)
 
@@ -109,12 +112,22 @@ class Reconfiguration:
                     return self._overtaken(asked)
                 old = session.model
                 result = self._commit(self.parameters.renewed(asked), preparation)
-                unused = old if session.model is new else new
+                if session.model is new:
+                    unused = old
+                    self._tell_replaced(old, new, is_file_asked_for=asked.names_weights)
                 return result
         finally:
-            if unused is not new:
-                self.node.get_logger().info(f"the model was replaced: {new.summary}")
             await self.resources.retire(unused, session)
+
+    def _tell_replaced(self, old: PreparedModel, new: PreparedModel, *, is_file_asked_for: bool) -> None:
+        log = self.node.get_logger()
+        log.info(f"the model was replaced: {new.summary}")
+        is_other_file = (old.weights_path, old.weights_sha256) != (new.weights_path, new.weights_sha256)
+        if is_other_file and not is_file_asked_for:
+            log.warning(
+                f"the weights are no longer those that were loaded before, with sha256 {old.weights_sha256}: "
+                f"{new.weights_path} was changed or took their place, and this reload has read it"
+            )
 
     def _wanted(self, session: Session, asked: Proposal) -> Settings | None:
         """The settings with what was `asked`; None if that is obsolete."""
@@ -130,9 +143,11 @@ class Reconfiguration:
     def _commit(self, proposal: Proposal, preparation: Preparation | None) -> SetParametersResult:
         """Make a valid proposal take effect, with the model of `preparation`, and store it; or nothing."""
         session, before, after = self.resources.session, proposal.base.settings, proposal.after.settings
-        if session is None or preparation is None or before is None or after is None or before is after:
+        if session is None or preparation is None or before is None or after is None:
             return self.parameters.store(proposal)
         running = session.preparation
+        if before is after and preparation is running:
+            return self.parameters.store(proposal)
         if problems := session.problems(after, preparation.result()):
             result = refused(*problems)
             if preparation is not running:

@@ -25,6 +25,8 @@ from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Setting
 from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN
 from yolov5_lifecycle.settings.value_text import value_text
 
+_LOCATING = ("weights", "weights_dir", "model_size")
+
 
 @dataclass(frozen=True, eq=False)
 class Configuration:
@@ -61,6 +63,11 @@ class Proposal:
         """Whether valid settings follow that need another model."""
         before, after = self.base.settings, self.after.settings
         return before is not None and after is not None and bool(before.differing(after, Change.RELOAD))
+
+    @property
+    def names_weights(self) -> bool:
+        """Whether it asks for a weights file, perhaps for the one that is loaded."""
+        return any(parameter.name in _LOCATING for parameter in self.asked)
 
 
 def refused(*reasons: Problem | str) -> SetParametersResult:
