@@ -215,9 +215,17 @@ def test_a_session_waits_for_its_disk(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_a_folder_is_not_created_where_a_disk_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(CollectingError, match=rf"no folder {tmp_path}/media; mount"):
         CollectedFolder(tmp_path / "media" / "stick", LARGE)
     assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize("name", ["data.yaml", "images", "labels"])
+def test_a_data_set_that_nobody_has_collected_stays_as_it_is(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(CollectingError, match=f"has {name}, but no frames.*set collect_dir to a new"):
+        CollectedFolder(tmp_path, LARGE)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_a_frame_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
@@ -255,6 +263,7 @@ def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> Non
 
 
 def test_what_somebody_else_put_there_stays(tmp_path: Path) -> None:
+    CollectedFolder(tmp_path, LARGE).close()
     (tmp_path / "images" / "mine").mkdir(parents=True)
     (tmp_path / "images" / "mine" / "1.jpg").touch()
     (tmp_path / "notes.txt").write_text("mine")

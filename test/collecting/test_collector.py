@@ -199,6 +199,20 @@ def test_a_disk_that_fails_is_left_alone_for_a_while_and_then_used_again(disk: D
     assert disk.collector.status.problem == ""
 
 
+def test_a_folder_that_can_be_opened_again_is_no_problem_although_nothing_is_new(disk: Disk) -> None:
+    disk.clock.step_s = RETRY_S
+    disk.collector.decide(candidate(0))
+    disk.collector.close(PATIENCE_S)
+    again = Disk(disk.path)
+    again.clock.step_s = RETRY_S
+    again.failures = ["another process collects into it"]
+    again.collector.decide(candidate(0))
+    assert again.collector.status.problem == "another process collects into it"
+    again.collector.decide(candidate(0))
+    assert (again.collector.status.duplicates, again.collector.status.problem) == (1, "")
+    again.collector.close(PATIENCE_S)
+
+
 def test_a_disk_that_hangs_does_not_keep_the_process(disk: Disk) -> None:
     disk.gate.close()
     disk.collector.offer(candidate())

@@ -87,7 +87,7 @@ class CollectedFolder:
         self.session = session or RecordingSession()
         self.session.check_mounted(path)
         if not path.exists():
-            path.mkdir()
+            _make(path)
         self._quota = quota
         self.size_bytes = 0
         """Of images, labels and records."""
@@ -101,7 +101,9 @@ class CollectedFolder:
                 raise CollectingError(
                     f"{path}: another process collects into it; give each detector a collect_dir of its own"
                 )
+            _check_own(path)
             self._read()
+            (path / FRAMES).mkdir(exist_ok=True)  # from here on it is a folder of kept images
             self.session.begin(path)
         except BaseException:
             os.close(self._descriptor)
@@ -181,7 +183,7 @@ class CollectedFolder:
         if free - size < least:
             raise CollectingError(
                 f"{self._path}: {free / 1e6:.0f} MB are free on the disk, collect_min_free_mb keeps "
-                f"{least / 1e6:.0f}; remove something, or lower collect_max_mb"
+                f"{least / 1e6:.0f}; free some, or lower collect_min_free_mb or collect_max_mb"
             )
 
     def _make_room(self, value: float, *, count: int = 0, size: int = 0) -> bool:
@@ -243,6 +245,27 @@ class CollectedFolder:
             with suppress(OSError):  # there may be none
                 for session in entries(self._path / kind):
                     remove_abandoned_folders(session)
+
+
+def _make(path: Path) -> None:
+    """Create the folder, but not the one around it: where a disk is missing, another would be filled."""
+    try:
+        path.mkdir()
+    except FileNotFoundError:
+        raise CollectingError(
+            f"{path}: there is no folder {path.parent}; mount the disk that has it, or create it"
+        ) from None
+
+
+def _check_own(path: Path) -> None:
+    """Raise CollectingError if the folder holds a data set that nobody has collected: it would be changed."""
+    if os.path.lexists(path / FRAMES):
+        return
+    if others := [name for name in (DATA, IMAGES, LABELS) if os.path.lexists(path / name)]:
+        raise CollectingError(
+            f"{path}: has {' and '.join(others)}, but no {FRAMES}, so it is another data set, which stays as "
+            "it is; set collect_dir to a new or an empty folder"
+        )
 
 
 def _missing(path: Path) -> CollectingError:

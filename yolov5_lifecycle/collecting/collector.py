@@ -86,6 +86,8 @@ class Collector:
         self._thread: threading.Thread | None = None
         self._folder: CollectedFolder | None = None
         self._failed_s: float | None = None
+        self._is_shut = False
+        """Whether the last failure was that the folder could not be opened."""
         self.status = CollectorStatus()
         """Replaced as a whole; may be read in any thread."""
 
@@ -138,6 +140,8 @@ class Collector:
         try:
             if self._folder is None:
                 self._folder = self._open_folder()
+                if self._is_shut:
+                    self._note(problem="")  # it is over, whether this candidate is kept or not
             self._keep(candidate, self._folder, now_s)
         except (CollectingError, ImageError, OSError) as error:
             self._fail(str(error), now_s)
@@ -174,7 +178,7 @@ class Collector:
         problem = in_one_line(problem)
         if problem != self.status.problem:
             _log.warning("no images are collected: %s", problem)
-        self._failed_s = now_s
+        self._failed_s, self._is_shut = now_s, self._folder is None
         self._count("dropped")
         self._note(problem=problem)
         self._close_folder()

@@ -279,7 +279,7 @@ def _collected(status: CollectorStatus) -> dict[str, str]:
         "images collected": str(status.kept),
         "images not collected, near duplicates": str(status.duplicates),
         "images not collected, less valuable": str(status.outranked),
-        "images not collected, disk too slow": str(status.dropped),
+        "images not collected, disk slow or failing": str(status.dropped),
         "images in collect_dir": str(status.frames),
         "collect_dir MB": f"{status.megabytes:.1f}",
     }
