@@ -22,6 +22,7 @@ from support.started import printed_by
 import yolov5_lifecycle
 from yolov5_lifecycle import Detections, Detector, load_model
 from yolov5_lifecycle.detection.nms import Selection
+from yolov5_lifecycle.images.image import ImageError
 from yolov5_lifecycle.images.region import BoxFilter, Region
 from yolov5_lifecycle.models.model import WeightsError
 from yolov5_lifecycle.settings.schema import SettingsError
@@ -110,6 +111,8 @@ def test_an_image_is_detected_in_either_order_of_colours(
     assert names(found) == SHOWN
     turned = detector(image[..., ::-1], channel_order="rgb")
     np.testing.assert_allclose(found.scores, turned.scores, rtol=1e-5)
+    with pytest.raises(ImageError, match="Expected 'bgr' or 'rgb' as channel_order, found 'RGB'"):
+        detector(image, channel_order="RGB")  # type: ignore[arg-type]  # a mistake
 
 
 def test_the_selection_of_a_loaded_model_may_be_replaced(

@@ -146,6 +146,7 @@ def _too_large(path: Path) -> None:
     [
         pytest.param("no/a.pt", lambda path: None, "no such file: check the path for a", id="missing"),
         pytest.param("$HOME/a.pt", lambda path: None, "$HOME are not replaced here: write ~", id="variable"),
+        pytest.param("a  b.pt", lambda path: None, "the path has blanks at its beg", id="blanks"),
         pytest.param("a.pt", Path.mkdir, "expected a regular file, found a folder", id="folder"),
         pytest.param("a.pt", os.mkfifo, "expected a regular file", id="pipe"),
         pytest.param("a.pt", lambda path: path.symlink_to("/dev/zero"), "expected a regular", id="endless"),

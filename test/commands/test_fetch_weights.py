@@ -20,11 +20,12 @@ from support.file_server import (
     sending_ranges,
     unfinished,
 )
-from support.random_model import CLASS_NAMES
+from support.random_model import CLASS_NAMES, random_model
 from support.refusals import Refused
 from support.small_families import SMALL_FAMILIES
 
 from yolov5_lifecycle.checkpoints.locate import find_weights, load_weights
+from yolov5_lifecycle.checkpoints.safetensors_file import write_safetensors
 from yolov5_lifecycle.commands.download import DownloadError
 from yolov5_lifecycle.commands.fetch_weights import MODELS, SHA256, main
 from yolov5_lifecycle.models.model import WeightsError
@@ -132,6 +133,26 @@ def test_on_request_a_safetensors_file_lies_beside_it(tmp_path: Path, checkpoint
     assert converted == tmp_path / "yolov5n.safetensors"
     assert load_weights(converted).model.class_names == CLASS_NAMES
     assert len(server.requests) == 1
+
+
+def test_another_safetensors_file_of_that_name_stays(
+    tmp_path: Path, checkpoint: bytes, digest: str, refused: Refused
+) -> None:
+    (tmp_path / "yolov5n.pt").write_bytes(checkpoint)
+    mine = tmp_path / "yolov5n.safetensors"
+    write_safetensors(random_model(7), mine)
+    told = refused(main, "n", "--dir", tmp_path, "--sha256", digest, "--safetensors")
+    assert f"`convert --force {tmp_path / 'yolov5n.pt'} {mine}`" in told
+
+
+def test_a_damaged_file_that_was_there_before_is_refused_with_what_to_remove(
+    tmp_path: Path, checkpoint: bytes, refused: Refused
+) -> None:
+    (tmp_path / "yolov5n.pt").write_bytes(checkpoint[:1000])
+    for words in ((), ("--sha256", "0" * 64)):
+        told = refused(main, "n", "--dir", tmp_path, *words)
+        assert f"{tmp_path / 'yolov5n.pt'}: " in told
+        assert "remove it to have it downloaded" in told
 
 
 def test_a_mirror_with_another_file_than_the_official_one_is_refused(

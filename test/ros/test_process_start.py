@@ -43,6 +43,15 @@ def test_every_command_says_its_version(command: str) -> None:
     assert (run.returncode, run.stdout, run.stderr) == (0, expected, "")
 
 
+@pytest.mark.parametrize("command", ["detector", "camera"])
+def test_help_needs_no_place_for_a_log(command: str) -> None:
+    nowhere = {name: value for name, value in os.environ.items() if name not in ("HOME", "ROS_LOG_DIR")}
+    words = [entry_point(command), "--help"]
+    run = subprocess.run(words, env=nowhere, capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert "ros-args" in run.stdout
+
+
 def test_too_few_threads_are_said_in_one_line() -> None:
     """As a user of its own: the limit counts all processes of a user, those of other workers' tests, too."""
     if os.geteuid() != 0 or (setpriv := shutil.which("setpriv")) is None:

@@ -220,15 +220,20 @@ def read_once(path: Path) -> bytes:
             data = file.read(status.st_size + 1)
             has_changed = os.fstat(file.fileno()).st_mtime_ns != status.st_mtime_ns
     except FileNotFoundError:
-        hint = "check the path for a missing '/' or a typo"
-        if "$" in str(path):
-            hint = "variables as in $HOME are not replaced here: write ~ or the path in full"
-        raise WeightsError(f"there is no such file: {hint}") from None
+        raise WeightsError(f"there is no such file: {_spelling_advice(str(path))}") from None
     except OSError as error:
         raise UncheckedError(f"the file cannot be read ({error.strerror})") from None
     if has_changed or len(data) != status.st_size:
         raise UncheckedError("the file changed while it was read: try again when it is complete")
     return data
+
+
+def _spelling_advice(path: str) -> str:
+    if "$" in path:
+        return "variables as in $HOME are not replaced here: write ~ or the path in full"
+    if path != " ".join(path.split()):
+        return "the path has blanks at its beginning or end, or several in a row: remove them"
+    return "check the path for a missing '/' or a typo"
 
 
 def _checked_digest(data: bytes, sha256: str) -> str:

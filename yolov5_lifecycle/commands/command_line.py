@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NoReturn
@@ -19,6 +20,15 @@ def version_line(command: str) -> str:
         return f"{command} {version('yolov5_lifecycle')} (yolov5_lifecycle)"
     except PackageNotFoundError:
         return f"{command}, unknown version: yolov5_lifecycle is not installed"
+
+
+def node_name(text: str) -> str:
+    """Type of an argument: the full name of a node."""
+    if not re.fullmatch(r"(/[A-Za-z_]\w*)+", text, re.ASCII):
+        raise argparse.ArgumentTypeError(
+            f"expected the full name of a node, such as /robot/yolov5, found {text!r}"
+        )
+    return text
 
 
 class CommandParser(argparse.ArgumentParser):

@@ -55,7 +55,7 @@ def fetch(
     """
     target = folder / f"yolov5{model}.pt"
     if os.path.lexists(target):
-        return load_weights(target, sha256=sha256)
+        return _already_there(target, sha256)
     if "{size}" not in url:
         raise DownloadError(
             f"{url}: expected an address with {{size}} in it, as in https://HOST/yolov5{{size}}.pt"
@@ -79,6 +79,15 @@ def fetch(
         found = _checked(unfinished, url, sha256)
         unfinished.replace(target)
     return replace(found, path=target.resolve())
+
+
+def _already_there(path: Path, sha256: str) -> WeightsFile:
+    try:
+        return load_weights(path, sha256=sha256)
+    except UncheckedError:
+        raise
+    except WeightsError as error:
+        raise WeightsError(f"{error} The file was there before: remove it to have it downloaded.") from None
 
 
 def _checked(path: Path, url: str, sha256: str) -> WeightsFile:

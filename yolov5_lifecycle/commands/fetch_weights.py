@@ -6,14 +6,16 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from yolov5_lifecycle.commands.command_line import CommandParser
 from yolov5_lifecycle.commands.convert import convert, report
 from yolov5_lifecycle.models.architecture import SIZES
-from yolov5_lifecycle.printable import in_one_line
+from yolov5_lifecycle.printable import in_one_line, shell_command
 from yolov5_lifecycle.process.standard_streams import complain, show_progress, write_output
 from yolov5_lifecycle.settings.schema import SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
@@ -102,8 +104,26 @@ def _run(arguments: argparse.Namespace) -> str:
     found = _fetch_checked(arguments, expanded(arguments.dir))
     told = "" if arguments.sha256 else _official_line(arguments.model)
     if arguments.safetensors:
-        found = convert(found.path, found.path.with_suffix(".safetensors"), overwrite=True)
+        found = _converted(found.path)
     return report(found) + told
+
+
+def _converted(path: Path) -> WeightsFile:
+    """The conversion of `path` beside it, as a former run may have left it; another file there is refused."""
+    from yolov5_lifecycle.checkpoints.locate import weights_digest
+    from yolov5_lifecycle.models.model import WeightsError
+
+    target = path.with_suffix(".safetensors")
+    if not os.path.lexists(target):
+        return convert(path, target, overwrite=False)
+    with TemporaryDirectory() as folder:
+        found = convert(path, Path(folder) / target.name, overwrite=False)
+    if weights_digest(target) != found.sha256:
+        raise WeightsError(
+            f"{target} exists, and holds another model than {path.name}: move it away, or replace it with "
+            f"`{shell_command('convert', '--force', path, target)}`."
+        )
+    return replace(found, path=target)
 
 
 def _fetch_checked(arguments: argparse.Namespace, folder: Path) -> WeightsFile:

@@ -14,7 +14,7 @@ from yolov5_lifecycle.detection.detections import Detections
 from yolov5_lifecycle.detection.letterbox import PADDING_VALUE, Letterbox
 from yolov5_lifecycle.detection.masks import Masks
 from yolov5_lifecycle.detection.nms import Counts, Selection, select
-from yolov5_lifecycle.images.image import ChannelOrder, ColourImage
+from yolov5_lifecycle.images.image import ChannelOrder, ColourImage, ImageError
 from yolov5_lifecycle.models.architecture import image_size_problem
 from yolov5_lifecycle.runtimes.runtime import InferenceError, Predictions, Runtime
 
@@ -67,6 +67,8 @@ class Detector:
 
         Raises ImageError for anything else, such as None from cv2.imread.
         """
+        if channel_order not in ("bgr", "rgb"):
+            raise ImageError(f"Expected 'bgr' or 'rgb' as channel_order, found {channel_order!r}.")
         return self.detect(ColourImage(pixels, channel_order), self.selection)
 
     def detect(self, image: ColourImage, selection: Selection) -> Detections:

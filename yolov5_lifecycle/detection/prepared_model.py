@@ -24,7 +24,6 @@ from yolov5_lifecycle.runtimes.torch_device import resolve_device
 from yolov5_lifecycle.settings.schema import Change
 from yolov5_lifecycle.settings.settings import MAX_PARALLEL_FRAMES, Settings
 
-
 FileVersion = tuple[int, int, int, int]
 """What tells a file from another that takes its place, and from itself once it is written again."""
 

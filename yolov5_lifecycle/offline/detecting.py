@@ -131,6 +131,7 @@ class OfflineDetector:
         self._stamps = StampCounts()
         self._tracking = TrackedDetection.started(settings, itertools.count(1), self._stamps)
         self._failures = 0
+        self._first_loss = ""
 
     @property
     def segments(self) -> bool:
@@ -169,7 +170,7 @@ class OfflineDetector:
         if not (count := statistics.outcomes.total()):
             raise DetectingError("there are no images to use")
         if not statistics.outcomes[Outcome.DETECTED]:
-            raise DetectingError(f"none of {count} images could be used: see the reasons above")
+            raise DetectingError(f"none of {count} images could be used, the first: {self._first_loss}")
         return statistics
 
     def _detect(
@@ -182,16 +183,20 @@ class OfflineDetector:
             image = stored.load()
             detections = self._detections(stored, image)
         except ImageError as error:
-            self._observer.lost(stored.label, Outcome.REJECTED, error)
-            return Outcome.REJECTED
+            return self._lost(stored, Outcome.REJECTED, error)
         except InferenceError as error:
-            self._observer.lost(stored.label, Outcome.FAILED, error)
+            outcome = self._lost(stored, Outcome.FAILED, error)
             self._count_failure(error)
-            return Outcome.FAILED
+            return outcome
         self._failures = 0
         write(stored, image, detections)
         objects.update(self.class_names[class_id] for class_id in detections.class_ids.tolist())
         return Outcome.DETECTED
+
+    def _lost(self, stored: Stored, outcome: Outcome, error: Exception) -> Outcome:
+        self._first_loss = self._first_loss or str(error)
+        self._observer.lost(stored.label, outcome, error)
+        return outcome
 
     def _detections(self, stored: StoredImage, image: ColourImage) -> Detections:
         stamp_s = None if self._tracking is None else stored.stamp_s

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from yolov5_lifecycle.commands.command_line import node_name
 from yolov5_lifecycle.settings.parameter_file import assigned_value, file_values
 from yolov5_lifecycle.settings.schema import SEPARATOR, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import Settings, validated
@@ -72,7 +72,7 @@ def add_detector_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--node",
-        type=_node_name,
+        type=node_name,
         default="/yolov5",
         help="name of the detector in the parameter file and in topics (default: %(default)s)",
     )
@@ -85,11 +85,3 @@ def _assignment(text: str) -> str:
     """Convert `NAME:=VALUE`, as after --ros-args, to `NAME=VALUE`."""
     name, equals, value = text.partition("=")
     return f"{name.removesuffix(':')}{equals}{value}"
-
-
-def _node_name(text: str) -> str:
-    if not re.fullmatch(r"(/[A-Za-z_]\w*)+", text, re.ASCII):
-        raise argparse.ArgumentTypeError(
-            f"expected the full name of a node, such as /robot/yolov5, found {text!r}"
-        )
-    return text

@@ -36,6 +36,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
         pytest.param(["--port", "http"], "--port: expected a number from 0 to 65535", id="no number"),
         pytest.param(["--port", "65536"], "--port: expected a number from 0 to 65535", id="port"),
         pytest.param(["--key", "key.pem"], "--cert and --key: expected both", id="key alone"),
+        pytest.param(["--node", "/yolov5/"], "expected the full name of a node", id="no node"),
         pytest.param(["--public-url", "robot"], "--public-url: expected a URL", id="no URL"),
         pytest.param(["--public-url", "http://a:b"], "--public-url: expected a URL", id="wrong port"),
         pytest.param(["--public-url", "https://a/b"], "scheme, name and port only", id="URL with path"),

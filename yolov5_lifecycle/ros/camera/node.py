@@ -105,11 +105,11 @@ def _run(arguments: list[str]) -> int:
     shortages = shared_memory_problems()
     try:
         given = start_arguments(arguments)
-        initialize(given.words)
         if words := given.own_words:
             return explain("camera", words, usage=_USAGE, settings=SCHEMA.settings)
         if given.problems:
             return refuse("camera", " ".join(given.problems))
+        initialize(given.words)
         node = CameraNode()
     except (RuntimeError, ParameterException, SettingsError) as error:
         return refuse("camera", error)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from yolov5_lifecycle.commands.command_line import CommandParser
+from yolov5_lifecycle.commands.command_line import CommandParser, node_name
 
 DEFAULT_PORT = 8080
 _MAX_PORT = 65_535
@@ -80,7 +80,7 @@ _ARGUMENTS: dict[str, dict[str, Any]] = {
     },
     "--node": {
         "dest": "nodes",
-        "type": lambda name: f"/{name.lstrip('/')}",
+        "type": lambda name: node_name(f"/{name.lstrip('/')}"),
         "action": "append",
         "default": [],
         "metavar": "/NAME",

@@ -57,9 +57,9 @@ def _run(arguments: list[str], prepare: Prepare) -> int:
     shortages = shared_memory_problems()
     try:
         given = start_arguments(arguments)
-        initialize(given.words)
         if words := given.own_words:
             return explain("detector", words, usage=_USAGE, settings=SETTINGS)
+        initialize(given.words)
         node = DetectorNode(prepare=prepare, start_problems=given.problems)
     except (RuntimeError, ParameterException) as error:
         return refuse("detector", f"cannot start: {error}")
