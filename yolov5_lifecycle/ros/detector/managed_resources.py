@@ -155,6 +155,10 @@ class ManagedResources:
                 preparation.result().close()
         return None
 
+    async def is_outdated(self, model: PreparedModel) -> bool:
+        """`model.is_outdated`, asked in the thread that loads models: a disk may hang."""
+        return (await self._models.finish(self._models.submit(model.is_outdated))).result()
+
     async def retire(self, model: PreparedModel, session: Session) -> None:
         """Free `model` after its last frame in `session`, unless a hanging thread may still use it."""
 

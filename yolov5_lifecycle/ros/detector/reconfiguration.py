@@ -73,12 +73,14 @@ class Reconfiguration:
 
     async def _set(self, proposal: Proposal) -> SetParametersResult:
         """Apply the whole proposal or nothing."""
+        session, is_outdated = self.resources.session, False
+        if session is not None and proposal.names_weights and not (proposal.problems or proposal.needs_model):
+            is_outdated = await self.resources.is_outdated(session.model)
+            # Another request may have come first.
+            proposal, session = self.parameters.renewed(proposal), self.resources.session
         if proposal.problems:
             return refused(*proposal.problems)
-        session = self.resources.session
-        if session is not None and (
-            proposal.needs_model or (proposal.names_weights and session.model.is_outdated())
-        ):
+        if session is not None and (is_outdated or proposal.needs_model):
             return await self._reload(session, proposal)
         return self._commit(proposal, session.preparation if session is not None else None)
 
