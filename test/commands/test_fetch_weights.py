@@ -198,6 +198,7 @@ def test_a_digest_that_is_none_is_refused_before_anything_is_downloaded(
         line = refused.in_a_line(main, *words, code=2)
     assert line.startswith("fetch_weights: ")
     assert "must be 64 hexadecimal digits" in line
+    assert ".." not in line
     assert server.requests == []
 
 

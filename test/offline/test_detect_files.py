@@ -125,9 +125,7 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
         pytest.param("shots/0.png", ["--output", "lines.jsonl"], "exists and is not", id="lines exist"),
         pytest.param("shots", ["--output", "x.txt"], "expected a name that ends in .jsonl", id="format"),
         pytest.param("shots", ["--annotated", "empty.mp4"], "exists and is not", id="drawings exist"),
-        pytest.param(
-            "shots/0.png", ["--annotated", "x.foo"], "x.foo: OpenCV cannot write", id="image suffix"
-        ),
+        pytest.param("shots/0.png", ["--annotated", "x.foo"], "ends in .png or .jpg", id="image suffix"),
         pytest.param("drive.avi", ["--annotated", "x.foo"], "ends in .mp4", id="video suffix"),
         # OpenCV crashes on these names.
         pytest.param(
@@ -142,7 +140,7 @@ def test_an_image_may_be_called_like_a_camera(tmp_path: Path, monkeypatch: pytes
             "?.mp4: the path of an annotated video must be UTF-8: choose another --annotated",
             id="annotated video path",
         ),
-        pytest.param("shots/0.png", ["--annotated", "x.\udcff"], "OpenCV cannot write", id="odd suffix"),
+        pytest.param("shots/0.png", ["--annotated", "x.\udcff"], "ends in .png or .jpg", id="odd suffix"),
     ],
 )
 def test_an_error_with_files_says_why_and_leaves_nothing_behind(

@@ -44,5 +44,5 @@ class CommandParser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        complain(self.prog, f"{message}. `{self.prog} --help` explains all arguments.")
+        complain(self.prog, f"{message.rstrip('.')}. `{self.prog} --help` explains all arguments.")
         sys.exit(EXIT_USAGE)

@@ -31,6 +31,7 @@ MIN_FREE_BYTES = 256 << 20
 """Of the disk: what crops leave free."""
 _MAX_NAME_LETTERS = 40
 _LENGTH_FOLLOWS = 1
+_OTHER_NAME = "choose a name that ends in .png or .jpg"
 """In place of the length of an MP4 box: 64 bits behind its name have it."""
 
 
@@ -126,13 +127,13 @@ def write_image(path: Path, drawn: ColourImage) -> None:
     """
     name = in_one_line(path.name)
     if not is_utf8(path.suffix):  # OpenCV 5.0 crashes
-        raise OutputError(f"{name}: OpenCV cannot write this image: the extension is not UTF-8.")
+        raise OutputError(f"{name}: OpenCV cannot write this image, {_OTHER_NAME}.")
     try:
         is_encoded, data = cv2.imencode(path.suffix, encoded(drawn, "bgr8"))
     except cv2.error as error:
-        raise OutputError(f"{name}: OpenCV cannot write this image: {error.err}.") from None
+        raise OutputError(f"{name}: OpenCV cannot write this image ({error.err}), {_OTHER_NAME}.") from None
     if not is_encoded:
-        raise OutputError(f"{name}: OpenCV cannot write this image as {path.suffix}; choose .png or .jpg.")
+        raise OutputError(f"{name}: OpenCV cannot write this image, {_OTHER_NAME}.")
     path.write_bytes(data)
 
 
