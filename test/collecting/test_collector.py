@@ -210,6 +210,12 @@ def test_a_folder_that_can_be_opened_again_is_no_problem_although_nothing_is_new
     assert again.collector.status.problem == "another process collects into it"
     again.collector.decide(candidate(0))
     assert (again.collector.status.duplicates, again.collector.status.problem) == (1, "")
+    again.quota = replace(QUOTA, min_free_bytes=1 << 60)
+    assert again.collector.close(PATIENCE_S)
+    again.collector.decide(candidate(1))
+    assert "free on the disk" in again.collector.status.problem
+    again.collector.decide(candidate(0))
+    assert "free on the disk" in again.collector.status.problem, "the folder could be opened"
     again.collector.close(PATIENCE_S)
 
 

@@ -84,7 +84,12 @@ def many(folder: Path) -> Path:
             "no image topic /up; choose one of these:\n  /left",
             id="no such topic",
         ),
-        pytest.param(all_unreadable, [], "none of 1 images could be used, the first: ", id="all unreadable"),
+        pytest.param(
+            all_unreadable,
+            [],
+            "none of 1 images could be used, the first: Encoding '32FC1'",
+            id="all unreadable",
+        ),
         pytest.param(
             lambda folder: record(folder / "bag", []), [], "has no messages. Did the camera", id="no messages"
         ),

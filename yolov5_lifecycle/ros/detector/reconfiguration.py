@@ -145,11 +145,9 @@ class Reconfiguration:
     def _commit(self, proposal: Proposal, preparation: Preparation | None) -> SetParametersResult:
         """Make a valid proposal take effect, with the model of `preparation`, and store it; or nothing."""
         session, before, after = self.resources.session, proposal.base.settings, proposal.after.settings
-        if session is None or preparation is None or before is None or after is None:
+        if session is None or preparation is None or before is None or after is None or before is after:
             return self.parameters.store(proposal)
         running = session.preparation
-        if before is after and preparation is running:
-            return self.parameters.store(proposal)
         if problems := session.problems(after, preparation.result()):
             result = refused(*problems)
             if preparation is not running:
