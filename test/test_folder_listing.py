@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,23 @@ def test_folders_below_count_together_however_often_they_are_listed(tmp_path: Pa
     assert sorted(path.name for path in tree.files(tmp_path)) == ["0.jpg", "0.jpg"]
     with pytest.raises(OSError, match="found more"):
         list(tree.files(tmp_path))
+
+
+def test_a_folder_below_that_cannot_be_listed_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One with a path that is too long, as root may list all others."""
+    monkeypatch.setattr(folder_listing, "MAX_ENTRIES", 100)
+    name = "x" * 250
+    outer = os.open(tmp_path, os.O_RDONLY)
+    for _ in range(4096 // len(name) + 1):
+        os.mkdir(name, dir_fd=outer)
+        inner = os.open(name, os.O_RDONLY, dir_fd=outer)
+        os.close(outer)
+        outer = inner
+    os.close(outer)
+    with pytest.raises(OSError, match=r"cannot be listed \(File name too long\)"):
+        list(FolderTree().files(tmp_path))
 
 
 def test_links_to_folders_are_not_followed(tmp_path: Path) -> None:

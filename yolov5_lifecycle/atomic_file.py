@@ -67,6 +67,8 @@ def whole_output(path: Path) -> Iterator[Path]:
     _check_free(path)
     if not path.parent.is_dir():
         raise OutputError(f"{path.parent}: folder not found; create it first.")
+    if not os.access(path.parent, os.W_OK):
+        raise OutputError(f"{path.parent}: not writable; choose a folder of yours.")
     remove_abandoned_folders(path.parent)
     with temporary_folder(path.parent) as folder:
         unfinished = folder / path.name

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 MAX_ENTRIES = 1_000_000
@@ -35,7 +34,8 @@ class FolderTree:
     def files(self, folder: Path) -> Iterator[Path]:
         """The files below `folder`, in any order; links to folders are not followed.
 
-        A subfolder that cannot be listed is left out. Raises OSError beyond MAX_ENTRIES entries.
+        One that has gone is left out. Raises OSError for one that cannot be listed, as a part would pass for
+        the whole, and beyond MAX_ENTRIES entries.
         """
         waiting = [os.fspath(folder)]
         while waiting:
@@ -50,6 +50,13 @@ class FolderTree:
 
 
 def _listed(folder: str) -> Iterator[os.DirEntry[str]]:
-    """What is in `folder`, one by one; nothing if it cannot be listed."""
-    with suppress(OSError), os.scandir(folder) as found:
-        yield from found
+    """What is in `folder`, one by one; nothing if it is not there. Raises OSError."""
+    try:
+        with os.scandir(folder) as found:
+            yield from found
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise OSError(
+            f"{folder}: cannot be listed ({error.strerror}): let this user read it, or move it away"
+        ) from None

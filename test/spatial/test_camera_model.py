@@ -62,7 +62,7 @@ LENSES = {
     [
         pytest.param(P, "plumb_bob", BARREL, True, OF_P, id="rectified"),
         pytest.param(NO_P, "", (), True, OF_K, id="rectified, without P"),
-        pytest.param(P, "plumb_bob", (0.0,) * 5, False, OF_P, id="no distortion"),
+        pytest.param(P, "plumb_bob", (0.0,) * 5, False, OF_K, id="no distortion"),
         pytest.param(NO_P, "", (), False, OF_K, id="nothing but K"),
         pytest.param(
             P,

@@ -147,6 +147,11 @@ def overrides_of(camera: str, overrides: Mapping[str, object]) -> dict[str, obje
     return {name.removeprefix(prefix): value for name, value in overrides.items() if name.startswith(prefix)}
 
 
+def setting_of(name: str, camera: str) -> str:
+    """The name of the override of the setting `name` for a camera; of itself for one without a name."""
+    return f"{camera}{SEPARATOR}{name}" if camera else name
+
+
 def camera_of(name: str) -> str:
     """The camera of the override `name`."""
     return name.partition(SEPARATOR)[0]

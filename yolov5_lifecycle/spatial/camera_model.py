@@ -118,9 +118,9 @@ class Intrinsics:
 def intrinsics_of_message(camera_info: Any, *, is_rectified: bool) -> Intrinsics:
     """The intrinsics in a sensor_msgs/CameraInfo, deserialised by any library.
 
-    P counts where it is filled in, the camera of the rectified image, else K. Of an image that is not
-    rectified, K and D count, unless D says that a pinhole would show the same. Raises ImageError as
-    `Intrinsics` and `Distortion`, for matrices of another size, and for a frame_id longer than MAX_FRAME_ID.
+    P is the camera of the rectified image, K and D that of one that is not; where P or K is not filled in,
+    the other counts. Raises ImageError as `Intrinsics` and `Distortion`, for matrices of another size, and
+    for a frame_id longer than MAX_FRAME_ID.
     """
     check_frame_id(camera_info)
     k, p, d = camera_info.k, camera_info.p, tuple(map(float, camera_info.d))
@@ -133,7 +133,8 @@ def intrinsics_of_message(camera_info: Any, *, is_rectified: bool) -> Intrinsics
     if not is_rectified and (any(d) or model == "equidistant"):
         distortion = Distortion(model, d)
         return Intrinsics(float(k[0]), float(k[4]), float(k[2]), float(k[5]), size_hw, distortion)
-    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if p[0] else (k[0], k[2], k[4], k[5])
+    has_p = p[0] and (is_rectified or not k[0])
+    fx, cx, fy, cy = (p[0], p[2], p[5], p[6]) if has_p else (k[0], k[2], k[4], k[5])
     return Intrinsics(float(fx), float(fy), float(cx), float(cy), size_hw)
 
 

@@ -16,6 +16,8 @@ MIN_DEPTH_M = 0.01
 MAX_DEPTH_M = 1000.0
 """Beyond these a value is no measurement, but damage: no depth camera reaches either."""
 
+_PROBES = 24
+
 DEPTH_ENCODINGS: Mapping[str, tuple[str, float]] = MappingProxyType(
     {"16UC1": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 )
@@ -38,6 +40,12 @@ class DepthImage:
         """Height and width in pixels."""
         height, width = self.values.shape
         return height, width
+
+    @property
+    def is_blank(self) -> bool:
+        """Whether there is no measurement at any of _PROBES x _PROBES pixels all over the image."""
+        rows, columns = (np.linspace(0, side - 1, _PROBES).astype(np.intp) for side in self.size_hw)
+        return bool(np.isnan(self.metres_at(rows[:, None], columns)).all())
 
     def metres_at(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float32]:
         """Depth in metres at pixels, whose indices are broadcast against each other.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -60,6 +61,20 @@ def test_an_image_of_another_size_than_its_labels_is_left_out(
     cv2.imwrite(str(data / "images" / "val" / "0003.jpg"), np.zeros((100, 100, 3), np.uint8))
     assert evaluate(as_coco(data)) == 0
     assert "the labels are for an image of 320 x 256 pixels, found 100 x 100" in capsys.readouterr().err
+
+
+def test_figures_that_cannot_be_written_are_printed(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        code = evaluate(data, "--output", str(data.parent / "out"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    output, error = capsys.readouterr()
+    assert code == 1
+    assert "mAP" in output
+    assert "File too large" in error
+    assert not (data.parent / "out").exists()
 
 
 def a_text(folder: Path) -> Path:

@@ -215,7 +215,9 @@ def test_each_camera_places_its_tracks_in_its_own_frame_while_its_depth_is_on(pr
         assert rear.place().detections[0].id == ""
         assert (len(front.placed), front.track()) == (count, ids[0])
         assert served.client.count_subscribers(front.topic("depth/image_raw")) == 0
-        told = "~/front/detections_3d has a subscriber, but nothing is published on it: set depth to true"
+        told = (
+            "~/front/detections_3d has a subscriber, but nothing is published on it: set front.depth to true"
+        )
         served.wait_for(
             lambda: bool(front.detect()) and served.statuses()["front"].message == told, "the remark"
         )

@@ -185,6 +185,46 @@ def test_a_detection_without_measurements_is_counted_alone(depth: DepthInput) ->
         "images with depth": 1,
         "unplaced: no valid depth in box": 1,
     }
+    assert depth.run is not None
+    assert depth.run.reason.startswith("nothing is measured anywhere in the depth images")
+    depth.take_image(depth_message(SCENE.depth_m, 1.02))
+    assert placed(depth, 1.02) is not None
+    assert depth.run is None
+
+
+@pytest.mark.parametrize(
+    ("messages", "told"),
+    [
+        pytest.param([], "none has arrived on /yolov5/depth/camera_info; it must be published", id="none"),
+        pytest.param([{"k": [0.0] * 9}], "camera_info is rejected: Expected intrinsics", id="rejected"),
+        pytest.param(
+            [{"height": 1000}],
+            "camera_info of 320x1000 pixels; send the camera_info of the depth images: one with binning",
+            id="of the whole sensor",
+        ),
+    ],
+)
+def test_what_is_wrong_with_the_camera_info_is_told_for_as_long_as_it_is(
+    depth: DepthInput, messages: list[dict[str, Any]], told: str
+) -> None:
+    depth.take_image(depth_message(SCENE.depth_m, 1.0))
+    for changes in messages:
+        depth.take_camera_info(camera_info_message(1.0, **changes))
+    assert placed(depth) is None
+    assert depth.run is not None
+    assert told in depth.run.reason
+
+
+def test_each_camera_logs_why_its_depth_is_rejected(
+    ros_domain: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with lone_node("yolov5") as node:
+        for camera in ("front", "rear"):
+            depth = DepthInput(node, camera=camera, slop_s=0.05)
+            for _ in range(3):
+                depth.take_image(depth_message(PIXELS, 1.0, encoding="rgb8"))
+    told = re.findall("(front|rear): depth images are rejected", capfd.readouterr().err)
+    assert told == ["front", "rear"]
 
 
 def test_a_run_of_images_without_depth_lasts_until_one_has_depth(ros_domain: int) -> None:

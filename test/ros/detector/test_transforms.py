@@ -239,6 +239,16 @@ def test_a_result_waits_as_long_as_was_set(
     assert output.hint == ""
 
 
+def test_images_without_a_frame_id_are_told_as_such(
+    output: FrameOutput, transforms: ScriptedTransforms
+) -> None:
+    transforms.found = Untransformed.NO_TRANSFORM
+    offer(output, 1.0, [], frame_id="")
+    transforms.now_s += 0.6
+    spin(output, lambda: output.counts[Untransformed.NO_TRANSFORM] == 1)
+    assert "the images and depth images have no frame_id" in output.hint
+
+
 def fail(_: Transform) -> None:
     raise ZeroDivisionError
 

@@ -99,9 +99,13 @@ def _evaluated(arguments: argparse.Namespace, kind: str, reports: _Reports, prep
             arguments.data, kind, classes, evaluations, reports.problems, arguments.thresholds
         )
         text = result.text(arguments.node)
-        if folder is not None:
-            result.write(folder)
         reports.close()
+        if folder is not None:
+            try:
+                result.write(folder)
+            except OSError:
+                write_output(_COMMAND, text)  # they may be the work of hours
+                raise
     return text
 
 

@@ -18,7 +18,8 @@ from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, depth_topics
 from yolov5_lifecycle.ros.detector.image_input import Subscription
 from yolov5_lifecycle.ros.messages import stamp_ns
-from yolov5_lifecycle.ros.topics import DEPTH_IMAGE_RAW, full_name, of_camera
+from yolov5_lifecycle.ros.topics import DEPTH_CAMERA_INFO, DEPTH_IMAGE_RAW, full_name, of_camera
+from yolov5_lifecycle.settings.camera_overrides import setting_of
 from yolov5_lifecycle.spatial.camera_model import Intrinsics, intrinsics_of_message
 from yolov5_lifecycle.spatial.depth_image import DepthImage, depth_image_of_message
 from yolov5_lifecycle.spatial.placement import Box3D, Placement, Unplaced, place, unusable
@@ -56,10 +57,19 @@ RECENT_S = 2.0
 """A rejection or failure is reported in diagnostics for this long."""
 UNPLACED_S = 2.0
 """Images without depth for longer than this are reported."""
+_LOG_PERIOD_S = 5.0
 _NO_PLACE = "detections have no place in space"
 _REGISTER = (
     "subscribe to depth images that are registered to the colour camera, which its driver publishes as "
     "aligned depth, or else `ros2 run depth_image_proc register_node` for rectified images"
+)
+_OTHER_INFO = (
+    "send the camera_info of the depth images: one with binning or a region of interest is that of the whole "
+    "sensor"
+)
+_BLANK = (
+    "nothing is measured anywhere in the depth images: is the sensor on, uncovered and within its range? "
+    "16UC1 is in millimetres, 32FC1 in metres"
 )
 
 
@@ -100,6 +110,9 @@ class DepthInput:
         self.run: RunWithoutDepth | None = None
         self.rejection, self.rejected_s = "", float("-inf")
         """Why the last depth image or camera_info was rejected, and when."""
+        self._logged_s = float("-inf")
+        self._info_problem = ""
+        """Why the last camera_info was rejected; "" if it was not."""
 
     def follow(self, *, is_needed: bool) -> None:
         """Subscribe if depth is needed, else unsubscribe and forget what was received."""
@@ -128,7 +141,8 @@ class DepthInput:
         for subscription, what in zip(self._subscriptions, ("depth images", "its camera_info"), strict=False):
             source = subscription.topic.look()
             if source.publishers == 0 and source.missing_s > DISCOVERY_S:
-                where, remedy = "", "start the depth camera, remap the topic or set depth to false"
+                setting = setting_of("depth", self.camera)
+                where, remedy = "", f"start the depth camera, remap the topic or set {setting} to false"
                 if source.sent_as:
                     where, remedy = f" (but in another form on {source.sent_as})", source.remedy
                 return f"no publisher of {what} on {source.name}{where}: {_NO_PLACE}; {remedy}"
@@ -167,8 +181,10 @@ class DepthInput:
         """Use these intrinsics from now on; reject those of an uncalibrated camera."""
         try:
             self._intrinsics = intrinsics_of_message(message, is_rectified=self._is_rectified())
+            self._info_problem = ""
         except ImageError as error:
-            self._reject(_INFOS_REJECTED, f"camera_info is rejected: {error}")
+            self._info_problem = f"camera_info is rejected: {error}"
+            self._reject(_INFOS_REJECTED, self._info_problem)
 
     def expect(self, header: Header) -> None:
         """Keep the depth image nearest in time to the image with this header until the next call."""
@@ -194,7 +210,8 @@ class DepthInput:
             return None
         depth, frame_id = paired
         if (unfit := unusable(image_size_hw, depth, intrinsics)) is not None:
-            self._count_unplaced(count, unfit, _explained(unfit, image_size_hw, depth, intrinsics))
+            found = _of_another_size(image_size_hw, depth, intrinsics) if intrinsics else self._without_info()
+            self._count_unplaced(count, unfit, f"{unfit.value}: {found}")
             return None
         frames = {frame_id.lstrip("/"), header.frame_id.lstrip("/")} - {""}  # tf's names began with / once
         if len(frames) > 1:
@@ -207,7 +224,10 @@ class DepthInput:
             name = _UNPLACED[placement] if isinstance(placement, Unplaced) else _PLACED
             self.counts[name] += 1
         self.counts[_WITH_DEPTH] += 1
-        self.run = None
+        if Unplaced.NO_VALID_DEPTH in placements and depth.is_blank:
+            self._go_on(_BLANK)
+        else:
+            self.run = None
         return PlacedImage(placements, frame_id or header.frame_id, surfaces, depth, intrinsics)
 
     def _is_rectified(self) -> bool:
@@ -215,28 +235,35 @@ class DepthInput:
         name = full_name(self.node, of_camera(DEPTH_IMAGE_RAW, self.camera))
         return re.search("(^|_)rect", name.rpartition("/")[2]) is not None
 
+    def _without_info(self) -> str:
+        topic = full_name(self.node, of_camera(DEPTH_CAMERA_INFO, self.camera))
+        remedy = "it must be published again and again, or once as transient local"
+        return self._info_problem or f"none has arrived on {topic}; {remedy}"
+
     def _reject(self, count: str, why: str) -> None:
         self.counts[count] += 1
         self.rejection, self.rejected_s = why, self.clock()
-        self.node.get_logger().warning(why, throttle_duration_sec=5.0)
+        if self.rejected_s - self._logged_s >= _LOG_PERIOD_S:  # rclpy would throttle all cameras together
+            self._logged_s = self.rejected_s
+            self.node.get_logger().warning(f"{self.camera}: {why}" if self.camera else why)
 
     def _count_unplaced(self, count: int, reason: Unplaced, told: str) -> None:
         """None of the `count` detections in an image can be placed; `told` is the `reason` in detail."""
-        now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
-        self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
+        self._go_on(told)
         self.counts[_WITHOUT_DEPTH] += 1
         self.counts[_UNPLACED[reason]] += count
 
+    def _go_on(self, told: str) -> None:
+        """Nothing in this image has a place, either; `told` is the reason."""
+        now_s, run = self.clock(), self.run  # `follow` may clear it in the executor
+        self.run = RunWithoutDepth(told, run.begun_s if run else now_s, now_s)
 
-def _explained(
-    reason: Unplaced, image_size_hw: tuple[int, int], depth: DepthImage, intrinsics: Intrinsics | None
-) -> str:
-    if intrinsics is None:
-        return reason.value
+
+def _of_another_size(image_size_hw: tuple[int, int], depth: DepthImage, intrinsics: Intrinsics) -> str:
     sizes = (image_size_hw, depth.size_hw, intrinsics.size_hw)
     colour, of_depth, of_info = (f"{width}x{height}" for height, width in sizes)
     found = f"images of {colour}, depth images of {of_depth}, camera_info of {of_info} pixels"
-    return f"{reason.value}: {found}; {_REGISTER}"
+    return f"{found}; {_OTHER_INFO if colour == of_depth else _REGISTER}"
 
 
 def _of_another_camera(colour_frame: str, depth_frame: str) -> str:

@@ -22,7 +22,7 @@ from yolov5_lifecycle.ros.detector.camera_topic import DISCOVERY_S, TopicStatus
 from yolov5_lifecycle.ros.detector.image_input import ImageInput
 from yolov5_lifecycle.ros.detector.session import ActiveCamera, DetectorCamera
 from yolov5_lifecycle.ros.topics import DETECTIONS, IMAGE, MASKS, of_camera
-from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS
+from yolov5_lifecycle.settings.camera_overrides import NODE_STATUS, setting_of
 from yolov5_lifecycle.settings.settings import Settings
 from yolov5_lifecycle.streaming.frame_statistics import EmptyRun
 
@@ -101,7 +101,8 @@ class CameraStatus:
         in_space = [topic for topic, count in outputs.subscribers_in_space.items() if count]
         if in_space and active.depth is None:
             topic = of_camera(in_space[0], name)
-            return f"{topic} has a subscriber, but nothing is published on it: set depth to true"
+            remedy = f"set {setting_of('depth', name)} to true"
+            return f"{topic} has a subscriber, but nothing is published on it: {remedy}"
         if outputs.mask_subscribers and not active.session.model.detector.segments:
             topic = of_camera(MASKS, name)
             return (

@@ -143,6 +143,8 @@ _REMEDIES = {
     "lower max_rate",
 }
 
+_NAMELESS = "the images and depth images have no frame_id; set it in the driver of the camera"
+
 
 @dataclass(frozen=True)
 class _Result:
@@ -241,5 +243,8 @@ class FrameOutput:
     def _drop(self, result: _Result, reason: Untransformed) -> None:
         self.counts[reason] += 1
         self._happened_s = self.clock()
+        if not result.source.strip():
+            self._problem = f"{reason.value}: {_NAMELESS}"
+            return
         frames = f"from {in_one_line(result.source)} to {in_one_line(self.target_frame)}"
         self._problem = f"{reason.value} {frames} at the stamp of the image: {_REMEDIES[reason]}"
