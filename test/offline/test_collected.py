@@ -52,6 +52,18 @@ def test_what_is_there_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[
     ]
 
 
+@pytest.mark.parametrize("action", ["show", "split"])
+def test_images_without_a_record_are_told(
+    tmp_path: Path, action: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = collected(tmp_path / "robot", 2, 1)
+    (folder / "images" / "own").mkdir()
+    for name in ("a.jpg", "b.PNG", "notes.txt"):
+        (folder / "images" / "own" / name).touch()
+    assert run(action, folder) == 0
+    assert "collected: 2 images in " in capsys.readouterr().err
+
+
 def test_whole_sessions_are_for_training_or_validation(tmp_path: Path) -> None:
     folder = collected(tmp_path / "robot", 6, 2, 2)
     assert run("split", folder, "--share", 0.2) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 from yolov5_lifecycle.collecting.collected_files import (
     FRAMES,
@@ -15,9 +16,11 @@ from yolov5_lifecycle.collecting.collected_files import (
     write_description,
 )
 from yolov5_lifecycle.evaluation.ground_truth import MAX_CLASSES
+from yolov5_lifecycle.folder_listing import FolderTree
 from yolov5_lifecycle.offline.collected.arguments import command_parser
 from yolov5_lifecycle.printable import in_one_line
 from yolov5_lifecycle.process.standard_streams import complain, write_output
+from yolov5_lifecycle.sources.source import IMAGE_SUFFIXES
 
 _COMMAND = "collected"
 SPLIT = "split.yaml"
@@ -52,6 +55,7 @@ def _show(arguments: argparse.Namespace) -> str:
         counts["model"][frame.weights_sha256[:12]] += 1
         counts["reason"].update(frame.reasons.keys())
         counts["class"].update({found.class_name for found in frame.objects})
+    _tell_others(arguments.folder, counts["session"].total())
     shown = [f"{'images':8}{counts['session'].total():8}"]
     for kind, counter in counts.items():
         most = counter.most_common(MAX_CLASSES)
@@ -63,6 +67,7 @@ def _split(arguments: argparse.Namespace) -> str:
     """Whole sessions for training or validation: neighbouring images show the same scene."""
     folder = arguments.folder
     counts = Counter(kept.session for kept, _ in kept_images(folder))
+    _tell_others(folder, counts.total())
     validation = validation_sessions(counts, arguments.share)
     paths = {session: f"{IMAGES}/{session}" for session in sorted(counts)}
     train = [path for session, path in paths.items() if session not in validation]
@@ -70,6 +75,17 @@ def _split(arguments: argparse.Namespace) -> str:
     write_description(folder / SPLIT, class_names, train, [paths[session] for session in validation])
     count = sum(counts[session] for session in validation)
     return f"{folder / SPLIT}: {counts.total() - count} images for training, {count} for validation\n"
+
+
+def _tell_others(folder: Path, count: int) -> None:
+    """Tell of images besides the `count` with a record, which `evaluate` and a trainer would read, too."""
+    images = (path for path in FolderTree().files(folder / IMAGES) if path.suffix.lower() in IMAGE_SUFFIXES)
+    if (others := sum(1 for _ in images) - count) > 0:
+        complain(
+            _COMMAND,
+            f"{others} images in {folder / IMAGES} have no record in {FRAMES}, as after they were renamed: "
+            "they are not counted, and in no part of a split",
+        )
 
 
 def validation_sessions(counts: Counter[str], share: float) -> list[str]:
