@@ -62,7 +62,6 @@ def _repeatable(data: bytes) -> bytes:
 def _described(architecture: Architecture) -> dict[str, Any]:
     """The architecture as JSON, with booleans normalized to integers, without fields that have defaults."""
     described = asdict(architecture) | {
-        "anchors_px": [[list(map(float, anchor)) for anchor in level] for level in architecture.anchors_px],
         "layers": [
             [layer.sources, layer.repeats, layer.kind, list(map(_number, layer.args))]
             for layer in architecture.layers
