@@ -57,7 +57,11 @@ def test_one_image_is_a_source(folder: Path) -> None:
 
 
 def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match="has no images"):
+    with pytest.raises(SourceError, match=r"has no images \(.*\)\.$"):
+        open_source(str(tmp_path))
+    (tmp_path / "val").mkdir()
+    (tmp_path / "train").mkdir()
+    with pytest.raises(SourceError, match=f"Name one of the folders in it, such as {tmp_path}/train"):
         open_source(str(tmp_path))
 
 

@@ -188,8 +188,8 @@ def image_paths(path: Path) -> list[Path]:
     except OSError as error:
         raise SourceError(str(error)) from None
     if not paths:
-        inner = sorted(folder for folder in entries(path) if folder.is_dir())
-        remedy = f" Name one of the folders in it, such as {inner[0]}." if inner else ""
+        inner = min((folder for folder in entries(path) if folder.is_dir()), default=None)
+        remedy = f" Name one of the folders in it, such as {inner}." if inner else ""
         raise SourceError(f"The folder {path} has no images ({', '.join(READABLE_SUFFIXES)}).{remedy}")
     return paths
 

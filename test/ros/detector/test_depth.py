@@ -243,12 +243,15 @@ def test_a_run_of_images_without_depth_lasts_until_one_has_depth(ros_domain: int
 def test_what_was_received_before_is_forgotten(depth: DepthInput) -> None:
     depth.follow(is_needed=True)
     fill(depth)
+    depth.take_camera_info(camera_info_message(1.0, k=[0.0] * 9))
     depth.follow(is_needed=False)
     assert placed(depth) is None
     assert counted(depth)["unplaced: no depth image"] == 1
     depth.take_image(depth_message(SCENE.depth_m, 1.0))
     assert placed(depth) is None
     assert counted(depth)["unplaced: no camera_info"] == 1
+    assert depth.run is not None
+    assert "none has arrived" in depth.run.reason
 
 
 # The node

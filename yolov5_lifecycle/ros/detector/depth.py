@@ -128,7 +128,7 @@ class DepthInput:
                 subscription.close()
             self._subscriptions = []
             self._pairing.clear()
-            self._intrinsics, self.run = None, None
+            self._intrinsics, self._info_problem, self.run = None, "", None
 
     def update(self) -> None:
         """Subscribe again if what the publishers offer requires it."""

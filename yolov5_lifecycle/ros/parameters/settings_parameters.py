@@ -19,13 +19,13 @@ from yolov5_lifecycle.ros.parameters.declaration import (
 )
 from yolov5_lifecycle.ros.rclpy_internals import lifecycle_state, parameter_overrides
 from yolov5_lifecycle.ros.topics import reliability_problems
-from yolov5_lifecycle.settings.camera_overrides import CAMERAS
-from yolov5_lifecycle.settings.schema import SEPARATOR, Change, Problem, SettingsError
+from yolov5_lifecycle.settings.camera_overrides import CAMERAS, setting_of
+from yolov5_lifecycle.settings.schema import Change, Problem, SettingsError
 from yolov5_lifecycle.settings.settings import SCHEMA, SETTINGS_BY_NAME, Settings, validated
 from yolov5_lifecycle.settings.suggestion import MAX_UNKNOWN
 from yolov5_lifecycle.settings.value_text import value_text
 
-_LOCATING = ("weights", "weights_dir", "model_size")
+_LOCATING = ("weights", "weights_dir", "model_size", "weights_sha256")
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ class SettingsParameters:
 
     def value_for(self, camera: str, name: str) -> Any:
         """Value of a setting for a camera in `cameras`; see `value`."""
-        own = f"{camera}{SEPARATOR}{name}"
+        own = setting_of(name, camera)
         return self.value(own if self._node.has_parameter(own) else name)
 
     def propose(self, asked: Sequence[Parameter]) -> Proposal:
